@@ -25,12 +25,12 @@ std::vector<Eigen::Vector2d> project(const Camera& camera, const std::vector<Eig
 /// Pixels to directions in the camera's frame, of unit length.
 std::vector<Eigen::Vector3d> unproject(const Camera& camera, const std::vector<Eigen::Vector2d>& pixels);
 
-/// Throws Error (naming `subject`) unless the model is known to mrcal, has its number of parameters, all finite,
-/// and the size is positive.
+/// Throws Error (naming `subject`) unless the model is known to mrcal, has its number of parameters, all
+/// finite, and the size is positive.
 void validate(const Camera& camera, const std::string& subject);
 
-/// mrcal's .cameramodel text: lens model, intrinsics, size, pose (rotation vector and translation from the reference
-/// frame, here the rig's).
+/// mrcal's .cameramodel text: lens model, intrinsics, size, pose (rotation vector and translation from the
+/// reference frame, here the rig's).
 Camera read_cameramodel(const std::filesystem::path& file);
 void write_cameramodel(const std::filesystem::path& file, const Camera& camera);
 

@@ -16,8 +16,8 @@ void write_text(const std::filesystem::path& file, std::string_view text);
 /// Commands call it before they start working.
 void check_output(const std::filesystem::path& path, bool force);
 
-/// A folder (or file) that appears whole or not at all: work in path(), then commit() puts it in the place of `target`.
-/// What was not committed is removed by the destructor.
+/// A folder (or file) that appears whole or not at all: work in path(), then commit() puts it in the place of
+/// `target`. What was not committed is removed by the destructor.
 class AtomicOutput {
  public:
   enum class Kind { folder, file };

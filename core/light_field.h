@@ -10,8 +10,8 @@
 
 namespace stuv {
 
-// A light field database is a folder: lightfield.json and views/NAME.tif, tiled and mip-mapped by OpenImageIO (alpha 0
-// where a pixel is missing), which ordinary picture viewers open.
+// A light field database is a folder: lightfield.json and views/NAME.tif, tiled and mip-mapped by OpenImageIO
+// (alpha 0 where a pixel is missing), which ordinary picture viewers open.
 
 enum class ViewRole {
   input,  ///< a camera of the lattice
@@ -24,9 +24,9 @@ struct View {
   std::string name;
   std::string file;  ///< relative to the folder
   ViewRole role = ViewRole::input;
-  int row = 0, col = 0;            ///< on the lattice (input views)
-  double s = 0, t = 0, w = 0;      ///< measured position, in the scene's unit
-  double cx_px = 0, cy_px = 0;     ///< principal point of this view; moves with (s, t) in converged scenes
+  int row = 0, col = 0;         ///< on the lattice (input views)
+  double s = 0, t = 0, w = 0;   ///< measured position, in the scene's unit
+  double cx_px = 0, cy_px = 0;  ///< principal point of this view; moves with (s, t) in converged scenes
 };
 
 /// The manifest. The pixels stay on disk: LightFieldReader reaches them.
@@ -37,11 +37,12 @@ struct LightField {
   int rows = 0, cols = 0;
   std::vector<View> views;
 
-  /// Focal length [px]. Without metres it is nominal: only products f / Z, which are disparities, are meaningful.
+  /// Focal length [px]. Without metres it is nominal: only products f / Z, which are disparities, are
+  /// meaningful.
   double focal_px = 0;
   bool metric = false;  ///< s, t, w and Z are metres and focal_px is real
-  /// q = f / Z0 [px per unit of s] of a scene whose views converge at Z0; 0: parallel. The principal point of a view at s
-  /// is cx_px(s) = cx0_px + q s; in the same way cy.
+  /// q = f / Z0 [px per unit of s] of a scene whose views converge at Z0; 0: parallel. The principal point of
+  /// a view at s is cx_px(s) = cx0_px + q s; in the same way cy.
   double convergence_px = 0;
   double cx0_px = 0, cy0_px = 0;
   /// Range of d = f / Z - q [px per unit of s] in which the scene lies; both NaN if unknown.
@@ -76,7 +77,8 @@ class LightFieldReader {
   LightFieldReader(LightFieldReader&&) noexcept;
 
   const LightField& light_field() const { return lf_; }
-  /// Pixels [x, x + width) x [y, y + height) of a view at a mip level (0: full size). Must lie inside the picture.
+  /// Pixels [x, x + width) x [y, y + height) of a view at a mip level (0: full size). Must lie inside the
+  /// picture.
   ViewPixels read(int view, int level, int x, int y, int width, int height) const;
   ViewPixels read(int view) const;
 

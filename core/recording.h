@@ -17,8 +17,8 @@ namespace stuv {
 //   REC/corners/BOARD/SET/CAMERA.json   board corners found later, one file a frame
 //   REC/truth/                    synthetic rigs only; no stage reads it
 //
-// A set is written under a hidden name and renamed, so it is there whole or not at all: after a crash at any moment
-// the recording opens with the sets that were finished.
+// A set is written under a hidden name and renamed, so it is there whole or not at all: after a crash at any
+// moment the recording opens with the sets that were finished.
 
 enum class FrameStatus {
   ok,       ///< file, and sequence and timestamp where the source has them
@@ -61,7 +61,8 @@ struct Recording {
   int set_index(const std::string& name) const;     ///< -1 if there is none
 };
 
-/// Opens a recording; sets that are not whole are ignored. Throws Error if recording.json or a set.json is damaged.
+/// Opens a recording; sets that are not whole are ignored. Throws Error if recording.json or a set.json is
+/// damaged.
 Recording open_recording(const std::filesystem::path& folder);
 
 /// Throws Error naming the first incomplete set and its missing cameras (for --complete).
@@ -70,10 +71,10 @@ void require_complete(const Recording& recording);
 /// Writes a recording set by set.
 class RecordingWriter {
  public:
-  /// Creates the folder with its manifest. Throws Error if it exists and `force` is false (with `force`, only a folder
-  /// that is a recording is replaced).
-  RecordingWriter(const std::filesystem::path& folder, int rows, int cols, std::vector<RecordedCamera> cameras,
-                  const Json& source, bool force);
+  /// Creates the folder with its manifest. Throws Error if it exists and `force` is false (with `force`, only
+  /// a folder that is a recording is replaced).
+  RecordingWriter(const std::filesystem::path& folder, int rows, int cols,
+                  std::vector<RecordedCamera> cameras, const Json& source, bool force);
   ~RecordingWriter();
 
   /// A hidden folder for the frames of one set. Removed unless commit_set follows.

@@ -22,7 +22,8 @@ enum class Filter { normal = 0, wide = 1, skipped = 2 };
 
 struct RenderedView {
   ImageF colour;
-  /// Per pixel, of the chosen plane: its disparity [px per unit of s] and its number (0 is the farthest); -1: none.
+  /// Per pixel, of the chosen plane: its disparity [px per unit of s] and its number (0 is the farthest); -1:
+  /// none.
   ImageF disparity;
   Raster<int> plane;
   /// 0..1; 0 outside the hull of the cameras and where no camera sees the point.

@@ -1,0 +1,15 @@
+#pragma once
+
+#include <CLI/CLI.hpp>
+#include <functional>
+
+namespace stuv {
+
+/// What to run once the command line is parsed; set by the callback of the chosen command.
+using Action = std::function<int()>;
+
+// One function a command, in app/NAME_command.cpp: adds the command with its flags and, when it is chosen,
+// sets `action`.
+void add_import_command(CLI::App& app, Action& action);
+
+}  // namespace stuv

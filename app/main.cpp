@@ -1,0 +1,37 @@
+#include <fmt/format.h>
+
+#include <new>
+
+#include "app/commands.h"
+#include "app/console.h"
+#include "core/error.h"
+
+int main(int argc, char** argv) {
+  using namespace stuv;
+  CLI::App app(
+      "From a camera array to pictures that are sharp everywhere.\n\n"
+      "  stuv capture -o rec && stuv calibrate rec -o rig && stuv rectify rec --rig rig -o scene\n"
+      "  stuv render scene -o all_in_focus.png --planes 64");
+  app.set_version_flag("--version", std::string("stuv ") + STUV_VERSION);
+  app.require_subcommand(1);
+  Action action;
+  add_import_command(app, action);
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::ParseError& e) {
+    // CLI11's own codes lie above 100; help and version are its 0.
+    return app.exit(e) == 0 ? kDone : kWrongUsage;
+  }
+  try {
+    return action();
+  } catch (const UsageError& e) {
+    fmt::print(stderr, "stuv: {}\n", e.what());
+    return kWrongUsage;
+  } catch (const std::bad_alloc&) {
+    fmt::print(stderr, "stuv: out of memory; use smaller pictures or fewer planes\n");
+    return kFailed;
+  } catch (const std::exception& e) {
+    fmt::print(stderr, "stuv: {}\n", e.what());
+    return kFailed;
+  }
+}

@@ -1,0 +1,184 @@
+#include "core/image_io.h"
+
+#include <OpenImageIO/imageio.h>
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <bit>
+#include <cstring>
+#include <sstream>
+
+#include "core/error.h"
+#include "core/files.h"
+
+namespace stuv {
+namespace {
+
+static_assert(std::endian::native == std::endian::little,
+              "PFM is written little endian as it lies in memory");
+
+PixelType from_oiio(const OIIO::TypeDesc& type) {
+  switch (type.basetype) {
+    case OIIO::TypeDesc::UINT8:
+    case OIIO::TypeDesc::INT8:
+      return PixelType::u8;
+    case OIIO::TypeDesc::UINT16:
+    case OIIO::TypeDesc::INT16:
+    case OIIO::TypeDesc::UINT32:
+      return PixelType::u16;
+    case OIIO::TypeDesc::HALF:
+      return PixelType::f16;
+    default:
+      return PixelType::f32;
+  }
+}
+
+OIIO::TypeDesc to_oiio(PixelType type) {
+  switch (type) {
+    case PixelType::u8:
+      return OIIO::TypeUInt8;
+    case PixelType::u16:
+      return OIIO::TypeUInt16;
+    case PixelType::f16:
+      return OIIO::TypeHalf;
+    case PixelType::f32:
+      break;
+  }
+  return OIIO::TypeFloat;
+}
+
+std::unique_ptr<OIIO::ImageInput> open_input(const std::filesystem::path& file) {
+  std::error_code ec;
+  if (!std::filesystem::exists(file, ec)) throw Error(file.string(), "does not exist", "check the path");
+  OIIO::ImageSpec config;
+  config["oiio:UnassociatedAlpha"] = 1;  // a mask must not darken the colours
+  auto input = OIIO::ImageInput::open(file.string(), &config);
+  if (!input)
+    throw Error(file.string(), fmt::format("is no picture OpenImageIO can open ({})", OIIO::geterror()),
+                "replace or convert it");
+  return input;
+}
+
+/// 1 grey, 2 grey and alpha, 3 colour, 4 and more colour and alpha.
+int colour_channels(const OIIO::ImageSpec& spec) { return spec.nchannels >= 3 ? 3 : 1; }
+
+/// Takes `channels` of every pixel's `stride` samples, beginning with sample `first`.
+std::vector<std::byte> pick(const std::vector<std::byte>& bytes, std::size_t sample, int stride, int first,
+                            int channels) {
+  const std::size_t pixels = bytes.size() / (sample * stride);
+  std::vector<std::byte> out(pixels * sample * channels);
+  for (std::size_t i = 0; i < pixels; ++i)
+    std::memcpy(&out[i * sample * channels], &bytes[(i * stride + first) * sample], sample * channels);
+  return out;
+}
+
+Mask mask_from_alpha(Image alpha) {
+  const ImageF values = to_float(alpha);
+  Mask mask(alpha.width, alpha.height, 1);
+  for (std::size_t i = 0; i < mask.data.size(); ++i) mask.data[i] = values.data[i] >= 0.5F ? 255 : 0;
+  if (std::find(mask.data.begin(), mask.data.end(), 0) == mask.data.end()) return {};
+  return mask;
+}
+
+/// Appends the mask as an alpha channel of the image's own type.
+std::vector<std::byte> with_alpha(const Image& image) {
+  ImageF alpha(image.width, image.height, 1);
+  for (std::size_t i = 0; i < alpha.data.size(); ++i) alpha.data[i] = image.mask.data[i] != 0 ? 1.0F : 0.0F;
+  const Image stored = from_float(alpha, image.type);
+  const std::size_t sample = bytes_per_sample(image.type), colour = sample * image.channels;
+  std::vector<std::byte> out(image.bytes.size() + stored.bytes.size());
+  for (std::size_t i = 0; i < alpha.data.size(); ++i) {
+    std::memcpy(&out[i * (colour + sample)], &image.bytes[i * colour], colour);
+    std::memcpy(&out[i * (colour + sample) + colour], &stored.bytes[i * sample], sample);
+  }
+  return out;
+}
+
+}  // namespace
+
+ImageInfo read_image_info(const std::filesystem::path& file) {
+  const auto input = open_input(file);
+  const OIIO::ImageSpec& spec = input->spec();
+  return {spec.width, spec.height, colour_channels(spec), from_oiio(spec.format)};
+}
+
+Image read_image(const std::filesystem::path& file) {
+  const auto input = open_input(file);
+  const OIIO::ImageSpec& spec = input->spec();
+  if (spec.width <= 0 || spec.height <= 0) throw Error(file.string(), "has no pixels", "replace it");
+  Image image;
+  image.width = spec.width;
+  image.height = spec.height;
+  image.channels = colour_channels(spec);
+  image.type = from_oiio(spec.format);
+  const std::size_t sample = bytes_per_sample(image.type);
+  std::vector<std::byte> all(static_cast<std::size_t>(spec.width) * spec.height * spec.nchannels * sample);
+  if (!input->read_image(0, 0, 0, spec.nchannels, to_oiio(image.type), all.data()))
+    throw Error(file.string(), fmt::format("is damaged or truncated ({})", input->geterror()), "replace it");
+  if (spec.nchannels == image.channels) {
+    image.bytes = std::move(all);
+    return image;
+  }
+  Image alpha{image.width, image.height, 1, image.type, pick(all, sample, spec.nchannels, image.channels, 1),
+              {}};
+  image.mask = mask_from_alpha(std::move(alpha));
+  image.bytes = pick(all, sample, spec.nchannels, 0, image.channels);
+  return image;
+}
+
+void write_image(const std::filesystem::path& file, const Image& image) {
+  AtomicOutput output(file, AtomicOutput::Kind::file, true);
+  auto out = OIIO::ImageOutput::create(output.path().string());
+  if (!out)
+    throw Error(file.string(), fmt::format("is of no kind OpenImageIO can write ({})", OIIO::geterror()),
+                "use .png, .tif or .exr");
+  const bool masked = !image.mask.empty();
+  OIIO::ImageSpec spec(image.width, image.height, image.channels + (masked ? 1 : 0), to_oiio(image.type));
+  if (masked) {
+    spec.alpha_channel = image.channels;
+    spec.channelnames.back() = "A";
+    spec["oiio:UnassociatedAlpha"] = 1;
+  }
+  spec["png:compressionLevel"] = 4;
+  const std::vector<std::byte> joined = masked ? with_alpha(image) : std::vector<std::byte>{};
+  const bool written = out->open(output.path().string(), spec) &&
+                       out->write_image(to_oiio(image.type), masked ? joined.data() : image.bytes.data()) &&
+                       out->close();
+  if (!written)
+    throw Error(file.string(), fmt::format("cannot be written ({})", out->geterror()),
+                "check the folder and the free space");
+  output.commit();
+}
+
+void write_pfm(const std::filesystem::path& file, const ImageF& image) {
+  std::string text =
+      fmt::format("{}\n{} {}\n-1.0\n", image.channels == 3 ? "PF" : "Pf", image.width, image.height);
+  const std::size_t row_bytes = static_cast<std::size_t>(image.width) * image.channels * sizeof(float);
+  for (int y = image.height - 1; y >= 0; --y)
+    text.append(reinterpret_cast<const char*>(image.row(y)), row_bytes);
+  write_text(file, text);
+}
+
+ImageF read_pfm(const std::filesystem::path& file) {
+  const std::string text = read_text(file);
+  std::istringstream in(text);
+  std::string kind;
+  int width = 0, height = 0;
+  double scale = 0;
+  in >> kind >> width >> height >> scale;
+  if (!in || (kind != "PF" && kind != "Pf") || width <= 0 || height <= 0 || scale == 0)
+    throw Error(file.string(), "is no PFM picture", "replace it");
+  if (scale > 0) throw Error(file.string(), "is a big-endian PFM", "convert it to little endian");
+  const auto begin = static_cast<std::size_t>(in.tellg()) + 1;
+  const int channels = kind == "PF" ? 3 : 1;
+  const std::size_t row_bytes = static_cast<std::size_t>(width) * channels * sizeof(float);
+  if (begin > text.size() || (text.size() - begin) / row_bytes < static_cast<std::size_t>(height))
+    throw Error(file.string(), "is truncated", "replace it");
+  ImageF image(width, height, channels);
+  for (int y = 0; y < height; ++y)
+    std::memcpy(image.row(height - 1 - y), text.data() + begin + static_cast<std::size_t>(y) * row_bytes,
+                row_bytes);
+  return image;
+}
+
+}  // namespace stuv
