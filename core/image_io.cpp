@@ -94,6 +94,17 @@ std::vector<std::byte> with_alpha(const Image& image) {
   return out;
 }
 
+/// libjpeg fills what a truncated file lacks with grey and only warns, and libpng prints to stderr: so look
+/// for the end marker first. (In a JPEG it must stand behind the last scan: a thumbnail has an end marker of
+/// its own.)
+bool lacks_end(const std::filesystem::path& file, std::string_view format) {
+  if (format != "jpeg" && format != "png") return false;
+  const std::string bytes = read_text(file);
+  if (format == "png") return bytes.rfind("IEND") == std::string::npos;
+  const std::size_t scan = bytes.rfind("\xFF\xDA"), end = bytes.rfind("\xFF\xD9");
+  return scan == std::string::npos || end == std::string::npos || end < scan;
+}
+
 }  // namespace
 
 ImageInfo read_image_info(const std::filesystem::path& file) {
@@ -106,6 +117,7 @@ Image read_image(const std::filesystem::path& file) {
   const auto input = open_input(file);
   const OIIO::ImageSpec& spec = input->spec();
   if (spec.width <= 0 || spec.height <= 0) throw Error(file.string(), "has no pixels", "replace it");
+  if (lacks_end(file, input->format_name())) throw Error(file.string(), "is truncated", "replace it");
   Image image;
   image.width = spec.width;
   image.height = spec.height;

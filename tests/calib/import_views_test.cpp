@@ -90,7 +90,7 @@ TEST_CASE("views.csv is read, and its mistakes are named by line") {
 TEST_CASE("Stanford and HCI names give positions") {
   const test::TempFolder folder;
   write_views(folder, {"out_00_01_-381.909271_1103.376221_.png", "out_00_00_-380_1100.png",
-                       "input_Cam000.png", "input_Cam044.png"});
+                       "input_Cam000.png", "input_Cam040.png"});
   const auto stanford = list_views(folder.path(), ViewLayout::stanford);
   REQUIRE(stanford.size() == 2);
   CHECK(stanford[1].s == Approx(1.103376221));
