@@ -16,6 +16,7 @@ int main(int argc, char** argv) {
   app.require_subcommand(1);
   Action action;
   add_import_command(app, action);
+  add_rectify_command(app, action);
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& e) {

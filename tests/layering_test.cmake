@@ -1,5 +1,6 @@
 # Fails when an include points the wrong way between the rooms.
 #   cmake -D ROOT=<source folder> -P layering_test.cmake
+cmake_policy(SET CMP0057 NEW)  # if(IN_LIST)
 set(allowed_core core)
 set(allowed_capture core capture)
 set(allowed_calib core calib)
