@@ -22,17 +22,23 @@ double bend_at(const BoardOptions& board, double x_m, double y_m) {
   return board.bend_m[0] * (1 - xr * xr) + board.bend_m[1] * (1 - yr * yr);
 }
 
-/// Average over [x - w/2, x + w/2], w <= 1, of the square wave that is 1 on [0, 1), -1 on [1, 2), and so on.
-float averaged_wave(float x, float w) {
-  const float nearest = std::round(x);
-  const float rising = (static_cast<int>(nearest) & 1) == 0 ? 1.0F : -1.0F;
-  return rising * std::clamp(2 * (x - nearest) / std::max(w, 1e-6F), -1.0F, 1.0F);
-}
-
 /// Share of [x - w/2, x + w/2] that lies in [low, high].
 float averaged_inside(float x, float w, float low, float high) {
   const float scale = 1 / std::max(w, 1e-6F);
   return std::clamp((x - low) * scale + 0.5F, 0.0F, 1.0F) * std::clamp((high - x) * scale + 0.5F, 0.0F, 1.0F);
+}
+
+/// Average over [x - w/2, x + w/2], w <= 1, of the square wave that is 1 on [0, 1), -1 on [1, 2), and so on,
+/// from -1 to n, and 0 beyond.
+float averaged_wave(float x, float w, int n) {
+  const float nearest = std::floor(x + 0.5F);
+  const int edge = static_cast<int>(nearest);
+  if (edge < -1 || edge > n) return 0;
+  const float rising = (edge & 1) == 0 ? 1.0F : -1.0F;
+  const float side = std::clamp(2 * (x - nearest) / std::max(w, 1e-6F), -1.0F, 1.0F);
+  if (edge == -1) return rising * 0.5F * (side + 1);
+  if (edge == n) return rising * 0.5F * (side - 1);
+  return rising * side;
 }
 
 /// Light of the board around (x, y), in squares from the first inner corner, over a box of wx by wy squares.
@@ -42,11 +48,11 @@ float board_light(const BoardOptions& board, float x, float y, float wx, float w
   const float sheet = averaged_inside(x, wx, -1 - margin, columns + margin) *
                       averaged_inside(y, wy, -1 - margin, rows + margin);
   const float squares = averaged_inside(x, wx, -1, columns) * averaged_inside(y, wy, -1, rows);
-  const float dark =
-      0.5F - 0.5F * averaged_wave(x, std::min(wx, 1.0F)) * averaged_wave(y, std::min(wy, 1.0F));
+  const float dark = 0.5F * (squares - averaged_wave(x, std::min(wx, 1.0F), board.columns) *
+                                           averaged_wave(y, std::min(wy, 1.0F), board.rows));
   // A little shading over the sheet, as no lamp lights evenly.
   const float shading = 1 - 0.1F * (x / columns - 0.5F) - 0.08F * (y / rows - 0.5F);
-  const float on_sheet = shading * (kWhite + (kBlack - kWhite) * dark * squares);
+  const float on_sheet = shading * (kWhite + (kBlack - kWhite) * dark);
   return kBackdrop + (on_sheet - kBackdrop) * sheet;
 }
 
@@ -79,11 +85,11 @@ struct BoardPlane {
   }
 };
 
-void render_row(const BoardPlane& plane, const LensGrid& lens, int y, ImageF& image) {
+void render_row(const BoardPlane& plane, const LensGrid& lens, int y, int first, int last, ImageF& image) {
   constexpr double offset = 0.25;
   const LensGrid::Row rays[2] = {{lens, y - offset}, {lens, y + offset}};
   float* out = image.row(y);
-  for (int x = 0; x < image.width; ++x) {
+  for (int x = first; x < last; ++x) {
     Eigen::Vector2d p[2][2];
     bool all_hit = true;
     for (int j = 0; j < 2; ++j)
@@ -101,6 +107,32 @@ void render_row(const BoardPlane& plane, const LensGrid& lens, int y, ImageF& im
                            static_cast<float>(w.x()), static_cast<float>(w.y()));
     out[x] = 0.25F * sum;
   }
+}
+
+/// The rectangle of the picture outside of which there is backdrop only.
+Eigen::AlignedBox2i outline(const BoardOptions& board, const Camera& camera, const Pose& cam_from_board) {
+  const Eigen::AlignedBox2i picture(Eigen::Vector2i(0, 0), Eigen::Vector2i(camera.width, camera.height));
+  constexpr int steps = 24, spare_px = 4;
+  std::vector<Eigen::Vector3d> points;
+  const double low = -1 - board.margin_squares, width = board.columns - 2 * low - 1,
+               height = board.rows - 2 * low - 1;
+  for (int j = 0; j <= steps; ++j)
+    for (int i = 0; i <= steps; ++i) {
+      const double x = (low + width * i / steps) * board.square_m,
+                   y = (low + height * j / steps) * board.square_m;
+      points.emplace_back(cam_from_board * Eigen::Vector3d(x, y, bend_at(board, x, y)));
+      if (points.back().z() < 0.5 * points.back().norm())
+        return picture;  // the lens model may fold out there
+    }
+  Eigen::AlignedBox2i box;
+  for (const Eigen::Vector2d& q : project(camera, points)) {
+    const Eigen::Vector2d inside = q.cwiseMax(-1e6).cwiseMin(1e6);
+    box.extend(
+        Eigen::Vector2i(inside.array().floor().cast<int>().matrix() - Eigen::Vector2i::Constant(spare_px)));
+    box.extend(
+        Eigen::Vector2i(inside.array().ceil().cast<int>().matrix() + Eigen::Vector2i::Constant(spare_px)));
+  }
+  return box.intersection(picture);
 }
 
 /// Whether the camera sees all squares, with a few pixels to spare.
@@ -221,9 +253,14 @@ std::vector<Pose> board_poses(const BoardOptions& board, const std::vector<Camer
 
 ImageF render_board(const BoardOptions& board, const Camera& camera, const Pose& rig_from_board) {
   const LensGrid lens(camera);
-  const BoardPlane plane(board, camera.cam_from_rig * rig_from_board);
-  ImageF image(camera.width, camera.height, 1);
-  parallel_for(camera.height, [&](int y) { render_row(plane, lens, y, image); });
+  const Pose cam_from_board = camera.cam_from_rig * rig_from_board;
+  const BoardPlane plane(board, cam_from_board);
+  const Eigen::AlignedBox2i box = outline(board, camera, cam_from_board);
+  ImageF image(camera.width, camera.height, 1, kBackdrop);
+  if (box.isEmpty()) return image;
+  parallel_for(box.sizes().y(), [&](int i) {
+    render_row(plane, lens, box.min().y() + i, box.min().x(), box.max().x(), image);
+  });
   return image;
 }
 

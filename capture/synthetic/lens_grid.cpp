@@ -1,20 +1,6 @@
 #include "capture/synthetic/lens_grid.h"
 
-#include <algorithm>
-#include <array>
-#include <cmath>
-
 namespace stuv::synthetic {
-namespace {
-
-/// Weights of the cubic through the values at -1, 0, 1 and 2 (Lagrange), at x in 0..1.
-std::array<double, 4> cubic_weights(double x) {
-  return {-x * (x - 1) * (x - 2) / 6, (x + 1) * (x - 1) * (x - 2) / 2, -(x + 1) * x * (x - 2) / 2,
-          (x + 1) * x * (x - 1) / 6};
-}
-
-}  // namespace
-
 LensGrid::LensGrid(const Camera& camera)
     : columns_(camera.width / kStep + 2 * kMargin + 2), rows_(camera.height / kStep + 2 * kMargin + 2) {
   std::vector<Eigen::Vector2d> pixels;
@@ -33,14 +19,6 @@ LensGrid::Row::Row(const LensGrid& grid, double y_px) {
     const Eigen::Vector2d* from = &grid.nodes_[(static_cast<std::size_t>(first) + k) * nodes_.size()];
     for (std::size_t i = 0; i < nodes_.size(); ++i) nodes_[i] += weights[k] * from[i];
   }
-}
-
-Eigen::Vector2d LensGrid::Row::operator()(double x_px) const {
-  const double x = x_px / kStep + kMargin;
-  const int first = std::clamp(static_cast<int>(std::floor(x)) - 1, 0, static_cast<int>(nodes_.size()) - 4);
-  const std::array<double, 4> weights = cubic_weights(x - first - 1);
-  const Eigen::Vector2d* n = &nodes_[static_cast<std::size_t>(first)];
-  return weights[0] * n[0] + weights[1] * n[1] + weights[2] * n[2] + weights[3] * n[3];
 }
 
 }  // namespace stuv::synthetic

@@ -75,6 +75,14 @@ double capsule_distance(const Vector3d& from_a, const Vector3d& axis, double rad
   return sphere_distance(y <= 0 ? Vector3d(-from_a) : Vector3d(axis - from_a), radius, direction);
 }
 
+/// Whether a ray passes through a box nearer than `limit`.
+bool meets(const Eigen::AlignedBox3d& box, const Vector3d& origin, const Vector3d& inverse, double limit) {
+  const Vector3d a = (box.min() - origin).cwiseProduct(inverse),
+                 b = (box.max() - origin).cwiseProduct(inverse);
+  const double enter = a.cwiseMin(b).maxCoeff(), leave = a.cwiseMax(b).minCoeff();
+  return enter <= leave && leave > 0 && enter < limit;
+}
+
 /// Light that comes from outside of everything: a bright ceiling window for reflections.
 Colour surroundings(const Vector3d& direction) {
   const auto up = static_cast<float>(-direction.y());
@@ -187,10 +195,9 @@ class Tracer {
     for (const Scene::Sphere& s : scene_.spheres_)
       hit_sphere(origin, direction, s.centre, s.radius, s.object, hit);
     for (const Scene::Box& box : scene_.boxes_) hit_box(origin, direction, box, hit);
+    const Vector3d inverse = direction.cwiseInverse();
     for (const Scene::Group& group : scene_.groups_) {
-      const Vector3d to_centre = group.centre - origin;
-      const double along = to_centre.dot(direction);
-      if (to_centre.squaredNorm() - along * along > group.radius * group.radius) continue;
+      if (!meets(group.bounds, origin, inverse, hit.distance)) continue;
       for (const Scene::Capsule& capsule : group.capsules) hit_capsule(origin, direction, capsule, hit);
       for (const Scene::Ellipsoid& leaf : group.ellipsoids) hit_ellipsoid(origin, direction, leaf, hit);
     }
@@ -301,61 +308,72 @@ class Tracer {
   Vector3d ball_;
 };
 
+void Scene::Group::add(const Capsule& capsule) {
+  const Vector3d around = Vector3d::Constant(capsule.radius);
+  for (const Vector3d& end : {capsule.a, Vector3d(capsule.a + capsule.axis)})
+    bounds.extend(end - around).extend(end + around);
+  capsules.push_back(capsule);
+}
+
+void Scene::Group::add(const Ellipsoid& ellipsoid) {
+  // The farthest point along an axis e lies at |A^-T e|, where A maps to the unit sphere.
+  const Matrix3d to_rig = ellipsoid.to_unit.inverse();
+  const Vector3d around = to_rig.rowwise().norm();
+  bounds.extend(ellipsoid.centre - around).extend(ellipsoid.centre + around);
+  ellipsoids.push_back(ellipsoid);
+}
+
 void Scene::add_fence() {
-  Group fence{{0.62, 0.22, 1.25}, 0.52, {}, {}};
-  const auto bar = [&](Vector3d a, Vector3d b, double radius, int object) {
-    fence.capsules.push_back({a, b - a, radius, object});
+  constexpr double left = 0.30, right = 0.94, top = -0.02, z = 1.25;
+  const auto bar = [&](const Vector3d& a, const Vector3d& b, double radius, int object) {
+    groups_.emplace_back().add(Capsule{a, b - a, radius, object});
   };
-  for (const double x : {0.30, 0.94}) bar({x, -0.08, 1.25}, {x, kFloorY, 1.25}, 0.014, kPost);
-  for (int i = 1; i < 12; ++i) {
-    const double x = 0.30 + 0.64 * i / 12;
-    bar({x, -0.02, 1.25}, {x, kFloorY - 0.05, 1.25}, 0.0022, kWire);
+  for (const double x : {left, right}) bar({x, top - 0.06, z}, {x, kFloorY, z}, 0.014, kPost);
+  constexpr int uprights = 12;
+  for (int i = 1; i < uprights; ++i) {
+    const double x = left + (right - left) * i / uprights;
+    bar({x, top, z}, {x, kFloorY - 0.05, z}, 0.0022, kWire);
   }
-  for (int i = 0; i < 5; ++i) {
-    const double y = -0.02 + 0.13 * i;
-    bar({0.30, y, 1.25}, {0.94, y, 1.25}, 0.0022, kWire);
+  for (int i = 0; i < 5; ++i) bar({left, top + 0.13 * i, z}, {right, top + 0.13 * i, z}, 0.0022, kWire);
+}
+
+void Scene::add_stalk(int number, const Vector3d& foot) {
+  const auto draw = [&](int key) {
+    return 2 * uniform(hash({0x97A47, static_cast<std::uint64_t>(number), static_cast<std::uint64_t>(key)})) -
+           1;
+  };
+  const double azimuth = 2.4 * number + 0.3 * draw(0), lean = 0.10 + 0.09 * (1 + draw(1));
+  const double height = 0.42 + 0.12 * draw(2);
+  const Vector3d side(std::cos(azimuth), 0, std::sin(azimuth));
+  const auto at = [&](double u) { return Vector3d(foot + side * lean * u * u - Vector3d(0, height * u, 0)); };
+  Group stalk;
+  constexpr int pieces = 4;
+  for (int i = 0; i < pieces; ++i) {
+    const Vector3d a = at(1.0 * i / pieces), b = at((i + 1.0) / pieces);
+    stalk.add(Capsule{a, b - a, 0.0035, kStalk});
   }
-  groups_.push_back(std::move(fence));
+  groups_.push_back(std::move(stalk));
+  for (int leaf = 0; leaf < 3; ++leaf) {
+    const double u = 0.45 + 0.27 * leaf, turn = azimuth + 2.1 * leaf + draw(5 + leaf);
+    const Vector3d out = Vector3d(std::cos(turn), 0.25 - 0.5 * u, std::sin(turn)).normalized();
+    const Vector3d flat = Vector3d(0.3 * draw(9 + leaf), -1, 0.3).cross(out).normalized();
+    Matrix3d axes;  // rows: along the leaf, across it, through it
+    axes << out.transpose(), flat.transpose(), out.cross(flat).transpose();
+    const Vector3d size(0.062, 0.021, 0.003);
+    groups_.emplace_back().add(
+        Ellipsoid{at(u) + 0.058 * out, size.cwiseInverse().asDiagonal() * axes, kLeaf});
+  }
 }
 
 void Scene::add_plant() {
   const Vector3d foot(-0.52, 0.36, 1.45);
-  Group plant{{-0.52, 0.02, 1.45}, 0.48, {}, {}};
   spheres_.push_back({foot + Vector3d(0, 0.09, 0), 0.115, kPot});
-  const auto draw = [](int stalk, int key) {
-    return 2 * uniform(hash({0x97A47, static_cast<std::uint64_t>(stalk), static_cast<std::uint64_t>(key)})) -
-           1;
-  };
-  for (int stalk = 0; stalk < 9; ++stalk) {
-    const double azimuth = 2.4 * stalk + 0.3 * draw(stalk, 0), lean = 0.10 + 0.09 * (1 + draw(stalk, 1));
-    const double height = 0.42 + 0.12 * draw(stalk, 2);
-    const Vector3d side(std::cos(azimuth), 0, std::sin(azimuth));
-    const auto at = [&](double u) {
-      return Vector3d(foot + side * lean * u * u - Vector3d(0, height * u, 0));
-    };
-    constexpr int pieces = 4;
-    for (int i = 0; i < pieces; ++i) {
-      const Vector3d a = at(1.0 * i / pieces), b = at((i + 1.0) / pieces);
-      plant.capsules.push_back({a, b - a, 0.0035, kStalk});
-    }
-    for (int leaf = 0; leaf < 3; ++leaf) {
-      const double u = 0.45 + 0.27 * leaf, turn = azimuth + 2.1 * leaf + draw(stalk, 5 + leaf);
-      const Vector3d out = Vector3d(std::cos(turn), 0.25 - 0.5 * u, std::sin(turn)).normalized();
-      const Vector3d flat = Vector3d(0.3 * draw(stalk, 9 + leaf), -1, 0.3).cross(out).normalized();
-      Matrix3d axes;  // rows: along the leaf, across it, through it
-      axes << out.transpose(), flat.transpose(), out.cross(flat).transpose();
-      const Vector3d size(0.062, 0.021, 0.003);
-      plant.ellipsoids.push_back({at(u) + 0.058 * out, size.cwiseInverse().asDiagonal() * axes, kLeaf});
-    }
-  }
-  groups_.push_back(std::move(plant));
+  for (int stalk = 0; stalk < 9; ++stalk) add_stalk(stalk, foot);
 }
 
 void Scene::add_lamp() {
   const Vector3d globe(-0.32, -0.52, 2.3);
-  Group cable{{globe.x(), -1.2, globe.z()}, 0.75, {}, {}};
-  cable.capsules.push_back({globe, {0, kCeilingY - globe.y(), 0}, 0.004, kCable});
-  groups_.push_back(std::move(cable));
+  groups_.emplace_back().add(Capsule{globe, {0, kCeilingY - globe.y(), 0}, 0.004, kCable});
   spheres_.push_back({globe, 0.085, kGlobe});
 }
 
@@ -377,7 +395,7 @@ Scene::Scene(const SceneOptions& options) : options_(options) {
   spheres_.push_back({{0.92, kFloorY - 0.46 - 0.14, 2.55}, 0.14, kMarble});
   spheres_.push_back({{-0.10, kFloorY - 0.19, 1.85}, 0.19, kGlossy});
   spheres_.push_back({{0.26, kFloorY - 0.10, 1.62}, 0.10, kMirror});
-  groups_.push_back({{-1.05, -0.65, 2.7}, 1.5, {{{-1.05, -2.2, 2.7}, {0, 3.2, 0}, 0.13, kPillar}}, {}});
+  groups_.emplace_back().add(Capsule{{-1.05, -2.2, 2.7}, {0, 3.2, 0}, 0.13, kPillar});
   add_fence();
   add_plant();
   add_lamp();

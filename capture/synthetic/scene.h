@@ -70,14 +70,17 @@ class Scene {
     Eigen::Matrix3d box_from_rig;
     int object;
   };
-  /// Thin things stand in groups with a sphere around each, which most rays miss.
+  /// Thin things stand in groups with a box around each, which most rays miss.
   struct Group {
-    Eigen::Vector3d centre;
-    double radius;
     std::vector<Capsule> capsules;
     std::vector<Ellipsoid> ellipsoids;
+    Eigen::AlignedBox3d bounds;
+
+    void add(const Capsule& capsule);
+    void add(const Ellipsoid& ellipsoid);
   };
 
+  void add_stalk(int number, const Eigen::Vector3d& foot);
   void add_fence();
   void add_plant();
   void add_lamp();
