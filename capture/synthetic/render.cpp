@@ -10,7 +10,7 @@ namespace stuv::synthetic {
 namespace {
 
 /// Differences of light between quarters of a pixel above which it is sampled more finely.
-constexpr float kContrast = 0.02F;
+constexpr float kContrast = 0.03F;
 
 class PixelRenderer {
  public:

@@ -190,16 +190,22 @@ class Tracer {
     hit.object = e.object;
   }
 
+  void hit_group(const Vector3d& origin, const Vector3d& direction, const Scene::Group& group,
+                 Hit& hit) const {
+    for (const Scene::Capsule& capsule : group.capsules) hit_capsule(origin, direction, capsule, hit);
+    for (const Scene::Ellipsoid& leaf : group.ellipsoids) hit_ellipsoid(origin, direction, leaf, hit);
+  }
+
   void hit_solids(const Vector3d& origin, const Vector3d& direction, Hit& hit) const {
     hit_sphere(origin, direction, ball_, kBallRadius, kBall, hit);
     for (const Scene::Sphere& s : scene_.spheres_)
       hit_sphere(origin, direction, s.centre, s.radius, s.object, hit);
     for (const Scene::Box& box : scene_.boxes_) hit_box(origin, direction, box, hit);
     const Vector3d inverse = direction.cwiseInverse();
-    for (const Scene::Group& group : scene_.groups_) {
-      if (!meets(group.bounds, origin, inverse, hit.distance)) continue;
-      for (const Scene::Capsule& capsule : group.capsules) hit_capsule(origin, direction, capsule, hit);
-      for (const Scene::Ellipsoid& leaf : group.ellipsoids) hit_ellipsoid(origin, direction, leaf, hit);
+    for (const Scene::Cluster& cluster : scene_.clusters_) {
+      if (!meets(cluster.bounds, origin, inverse, hit.distance)) continue;
+      for (const Scene::Group& group : cluster.groups)
+        if (meets(group.bounds, origin, inverse, hit.distance)) hit_group(origin, direction, group, hit);
     }
   }
 
@@ -323,10 +329,18 @@ void Scene::Group::add(const Ellipsoid& ellipsoid) {
   ellipsoids.push_back(ellipsoid);
 }
 
+void Scene::Cluster::add(const Group& group) {
+  bounds.extend(group.bounds);
+  groups.push_back(group);
+}
+
 void Scene::add_fence() {
+  Cluster fence;
   constexpr double left = 0.30, right = 0.94, top = -0.02, z = 1.25;
   const auto bar = [&](const Vector3d& a, const Vector3d& b, double radius, int object) {
-    groups_.emplace_back().add(Capsule{a, b - a, radius, object});
+    Group group;
+    group.add(Capsule{a, b - a, radius, object});
+    fence.add(group);
   };
   for (const double x : {left, right}) bar({x, top - 0.06, z}, {x, kFloorY, z}, 0.014, kPost);
   constexpr int uprights = 12;
@@ -335,9 +349,10 @@ void Scene::add_fence() {
     bar({x, top, z}, {x, kFloorY - 0.05, z}, 0.0022, kWire);
   }
   for (int i = 0; i < 5; ++i) bar({left, top + 0.13 * i, z}, {right, top + 0.13 * i, z}, 0.0022, kWire);
+  clusters_.push_back(std::move(fence));
 }
 
-void Scene::add_stalk(int number, const Vector3d& foot) {
+void Scene::add_stalk(Cluster& plant, int number, const Vector3d& foot) {
   const auto draw = [&](int key) {
     return 2 * uniform(hash({0x97A47, static_cast<std::uint64_t>(number), static_cast<std::uint64_t>(key)})) -
            1;
@@ -352,7 +367,7 @@ void Scene::add_stalk(int number, const Vector3d& foot) {
     const Vector3d a = at(1.0 * i / pieces), b = at((i + 1.0) / pieces);
     stalk.add(Capsule{a, b - a, 0.0035, kStalk});
   }
-  groups_.push_back(std::move(stalk));
+  plant.add(stalk);
   for (int leaf = 0; leaf < 3; ++leaf) {
     const double u = 0.45 + 0.27 * leaf, turn = azimuth + 2.1 * leaf + draw(5 + leaf);
     const Vector3d out = Vector3d(std::cos(turn), 0.25 - 0.5 * u, std::sin(turn)).normalized();
@@ -360,20 +375,29 @@ void Scene::add_stalk(int number, const Vector3d& foot) {
     Matrix3d axes;  // rows: along the leaf, across it, through it
     axes << out.transpose(), flat.transpose(), out.cross(flat).transpose();
     const Vector3d size(0.062, 0.021, 0.003);
-    groups_.emplace_back().add(
-        Ellipsoid{at(u) + 0.058 * out, size.cwiseInverse().asDiagonal() * axes, kLeaf});
+    Group group;
+    group.add(Ellipsoid{at(u) + 0.058 * out, size.cwiseInverse().asDiagonal() * axes, kLeaf});
+    plant.add(group);
   }
 }
 
 void Scene::add_plant() {
   const Vector3d foot(-0.52, 0.36, 1.45);
   spheres_.push_back({foot + Vector3d(0, 0.09, 0), 0.115, kPot});
-  for (int stalk = 0; stalk < 9; ++stalk) add_stalk(stalk, foot);
+  Cluster plant;
+  for (int stalk = 0; stalk < 9; ++stalk) add_stalk(plant, stalk, foot);
+  clusters_.push_back(std::move(plant));
+}
+
+void Scene::add_single(const Capsule& capsule) {
+  Group group;
+  group.add(capsule);
+  clusters_.emplace_back().add(group);
 }
 
 void Scene::add_lamp() {
   const Vector3d globe(-0.32, -0.52, 2.3);
-  groups_.emplace_back().add(Capsule{globe, {0, kCeilingY - globe.y(), 0}, 0.004, kCable});
+  add_single(Capsule{globe, {0, kCeilingY - globe.y(), 0}, 0.004, kCable});
   spheres_.push_back({globe, 0.085, kGlobe});
 }
 
@@ -395,7 +419,7 @@ Scene::Scene(const SceneOptions& options) : options_(options) {
   spheres_.push_back({{0.92, kFloorY - 0.46 - 0.14, 2.55}, 0.14, kMarble});
   spheres_.push_back({{-0.10, kFloorY - 0.19, 1.85}, 0.19, kGlossy});
   spheres_.push_back({{0.26, kFloorY - 0.10, 1.62}, 0.10, kMirror});
-  groups_.emplace_back().add(Capsule{{-1.05, -2.2, 2.7}, {0, 3.2, 0}, 0.13, kPillar});
+  add_single(Capsule{{-1.05, -2.2, 2.7}, {0, 3.2, 0}, 0.13, kPillar});
   add_fence();
   add_plant();
   add_lamp();

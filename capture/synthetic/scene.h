@@ -80,15 +80,24 @@ class Scene {
     void add(const Ellipsoid& ellipsoid);
   };
 
-  void add_stalk(int number, const Eigen::Vector3d& foot);
+  /// Groups that stand together: a fence, a plant.
+  struct Cluster {
+    std::vector<Group> groups;
+    Eigen::AlignedBox3d bounds;
+
+    void add(const Group& group);
+  };
+
+  static void add_stalk(Cluster& plant, int number, const Eigen::Vector3d& foot);
   void add_fence();
   void add_plant();
+  void add_single(const Capsule& capsule);
   void add_lamp();
 
   SceneOptions options_;
   std::vector<Sphere> spheres_;
   std::vector<Box> boxes_;
-  std::vector<Group> groups_;
+  std::vector<Cluster> clusters_;
 };
 
 }  // namespace stuv::synthetic
