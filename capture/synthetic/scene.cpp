@@ -37,7 +37,6 @@ constexpr double kFloorY = 0.55, kCeilingY = -1.9;
 constexpr double kFar = 1e9, kNear = 1e-6;
 const Vector3d kLamp(-1.3, -1.7, 0.4);
 const Vector3d kBallStart(0.12, -0.28, 1.9);
-constexpr double kBallRadius = 0.085;
 
 // The painting's place on the wall.
 constexpr double kPaintingX = 0.35, kPaintingY = -0.95, kPaintingWidth = 0.95, kPaintingHeight = 0.62;
@@ -48,10 +47,6 @@ struct Hit {
   Vector3d point, normal;
   int object = -1;
 };
-
-Vector3d ball_centre(const SceneOptions& options, std::int64_t time_ns) {
-  return kBallStart + Vector3d(options.ball_speed_m_per_s * 1e-9 * static_cast<double>(time_ns), 0, 0);
-}
 
 /// Distance to a sphere around `to_centre` seen from the ray's origin, or kFar.
 double sphere_distance(const Vector3d& to_centre, double radius, const Vector3d& direction) {
@@ -94,8 +89,7 @@ Colour surroundings(const Vector3d& direction) {
 /// One ray's way through the scene.
 class Tracer {
  public:
-  Tracer(const Scene& scene, std::int64_t time_ns)
-      : scene_(scene), ball_(ball_centre(scene.options_, time_ns)) {}
+  Tracer(const Scene& scene, std::int64_t time_ns) : scene_(scene), ball_(scene.ball_centre(time_ns)) {}
 
   Hit nearest(const Vector3d& origin, const Vector3d& direction) const {
     Hit hit;
@@ -197,7 +191,7 @@ class Tracer {
   }
 
   void hit_solids(const Vector3d& origin, const Vector3d& direction, Hit& hit) const {
-    hit_sphere(origin, direction, ball_, kBallRadius, kBall, hit);
+    hit_sphere(origin, direction, ball_, Scene::kBallRadius_m, kBall, hit);
     for (const Scene::Sphere& s : scene_.spheres_)
       hit_sphere(origin, direction, s.centre, s.radius, s.object, hit);
     for (const Scene::Box& box : scene_.boxes_) hit_box(origin, direction, box, hit);
@@ -239,7 +233,7 @@ class Tracer {
       case kPillar:
         return fabric(p.y(), 0.13 * std::atan2(hit.normal.z(), hit.normal.x()), step);
       case kBall:
-        return striped_ball(hit.normal, step / kBallRadius);
+        return striped_ball(hit.normal, step / Scene::kBallRadius_m);
       case kGlossy:
         return {0.52F, 0.03F, 0.03F};
       case kMirror:
@@ -399,6 +393,10 @@ void Scene::add_lamp() {
   const Vector3d globe(-0.32, -0.52, 2.3);
   add_single(Capsule{globe, {0, kCeilingY - globe.y(), 0}, 0.004, kCable});
   spheres_.push_back({globe, 0.085, kGlobe});
+}
+
+Vector3d Scene::ball_centre(std::int64_t time_ns) const {
+  return kBallStart + Vector3d(options_.ball_speed_m_per_s * 1e-9 * static_cast<double>(time_ns), 0, 0);
 }
 
 std::string problem_of(const SceneOptions& options) {

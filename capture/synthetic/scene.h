@@ -45,7 +45,9 @@ class Scene {
   /// Light along a ray at a moment of the ball's flight.
   Shade trace(const Ray& ray, std::int64_t time_ns) const;
 
-  const SceneOptions& options() const { return options_; }
+  /// Of the moving ball, in the rig's frame.
+  Eigen::Vector3d ball_centre(std::int64_t time_ns) const;
+  static constexpr double kBallRadius_m = 0.085;
 
  private:
   friend class Tracer;
