@@ -30,20 +30,43 @@ SyntheticOptions small_options() {
   return options;
 }
 
-/// The point from which all edges of a window point away at right angles to the gradient (Foerstner).
+/// Binomial smoothing, by which the samples of sharp edges stop to depend on where pixels lie.
+ImageF smoothed(ImageF image) {
+  for (int round = 0; round < 4; ++round) {
+    const ImageF from = image;
+    for (int y = 1; y + 1 < image.height; ++y)
+      for (int x = 1; x + 1 < image.width; ++x)
+        image.at(x, y) =
+            (4 * from.at(x, y) +
+             2 * (from.at(x - 1, y) + from.at(x + 1, y) + from.at(x, y - 1) + from.at(x, y + 1)) +
+             from.at(x - 1, y - 1) + from.at(x + 1, y - 1) + from.at(x - 1, y + 1) + from.at(x + 1, y + 1)) /
+            16;
+  }
+  return image;
+}
+
+/// The point through which the lines of all edges around it pass (Foerstner), weighted by a Gaussian around
+/// that point, so that the window cuts edges symmetrically. Starts at a whole pixel near `about`.
 Eigen::Vector2d corner_near(const ImageF& image, const Eigen::Vector2d& about) {
-  constexpr int half = 3;
+  constexpr int half = 5;
+  constexpr double sigma_px = 1.7;
   const int cx = static_cast<int>(std::lround(about.x())), cy = static_cast<int>(std::lround(about.y()));
-  Eigen::Matrix2d A = Eigen::Matrix2d::Zero();
-  Eigen::Vector2d b = Eigen::Vector2d::Zero();
-  for (int y = cy - half; y <= cy + half; ++y)
-    for (int x = cx - half; x <= cx + half; ++x) {
-      const Eigen::Vector2d g(image.at(x + 1, y) - image.at(x - 1, y),
-                              image.at(x, y + 1) - image.at(x, y - 1));
-      A += g * g.transpose();
-      b += g * g.dot(Eigen::Vector2d(x, y));
-    }
-  return A.ldlt().solve(b);
+  Eigen::Vector2d corner(cx, cy);
+  for (int round = 0; round < 60; ++round) {
+    Eigen::Matrix2d A = Eigen::Matrix2d::Zero();
+    Eigen::Vector2d b = Eigen::Vector2d::Zero();
+    for (int y = cy - half; y <= cy + half; ++y)
+      for (int x = cx - half; x <= cx + half; ++x) {
+        const Eigen::Vector2d p(x, y);
+        const Eigen::Vector2d g(image.at(x + 1, y) - image.at(x - 1, y),
+                                image.at(x, y + 1) - image.at(x, y - 1));
+        const double weight = std::exp(-(p - corner).squaredNorm() / (2 * sigma_px * sigma_px));
+        A += weight * g * g.transpose();
+        b += weight * g * g.dot(p);
+      }
+    corner = A.ldlt().solve(b);
+  }
+  return corner;
 }
 
 bool inside(const Eigen::Vector2d& q, const Camera& camera, double margin) {
@@ -95,7 +118,7 @@ TEST_CASE("board: the corners in the picture are where the truth says") {
   double sum = 0, worst = 0;
   int count = 0;
   for (const Pose& pose : synthetic::board_poses(options)) {
-    const ImageF picture = render_board(options.board, camera, pose);
+    const ImageF picture = smoothed(render_board(options.board, camera, pose));
     for (const Eigen::Vector2d& q : board_pixels(options.board, camera, pose)) {
       if (!inside(q, camera, 6)) continue;
       const double error = (corner_near(picture, q) - q).norm();
