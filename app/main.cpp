@@ -15,6 +15,7 @@ int main(int argc, char** argv) {
   app.set_version_flag("--version", std::string("stuv ") + STUV_VERSION);
   app.require_subcommand(1);
   Action action;
+  add_capture_command(app, action);
   add_import_command(app, action);
   add_rectify_command(app, action);
   try {

@@ -4,8 +4,10 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <array>
 #include <bit>
 #include <cstring>
+#include <fstream>
 #include <sstream>
 
 #include "core/error.h"
@@ -95,12 +97,16 @@ std::vector<std::byte> with_alpha(const Image& image) {
 }
 
 /// libjpeg fills what a truncated file lacks with grey and only warns, and libpng prints to stderr: so look
-/// for the end marker first. (In a JPEG it must stand behind the last scan: a thumbnail has an end marker of
-/// its own.)
-bool lacks_end(const std::filesystem::path& file, std::string_view format) {
-  if (format != "jpeg" && format != "png") return false;
+/// for the end marker before either sees the file. (In a JPEG it must stand behind the last scan: a thumbnail
+/// has an end marker of its own.)
+bool lacks_end(const std::filesystem::path& file) {
+  std::array<char, 4> magic{};
+  std::ifstream(file, std::ios::binary).read(magic.data(), magic.size());
+  const std::string_view begin(magic.data(), magic.size());
+  const bool png = begin == "\x89PNG", jpeg = begin.substr(0, 3) == "\xFF\xD8\xFF";
+  if (!png && !jpeg) return false;
   const std::string bytes = read_text(file);
-  if (format == "png") return bytes.rfind("IEND") == std::string::npos;
+  if (png) return bytes.rfind("IEND") == std::string::npos;
   const std::size_t scan = bytes.rfind("\xFF\xDA"), end = bytes.rfind("\xFF\xD9");
   return scan == std::string::npos || end == std::string::npos || end < scan;
 }
@@ -114,10 +120,10 @@ ImageInfo read_image_info(const std::filesystem::path& file) {
 }
 
 Image read_image(const std::filesystem::path& file) {
+  if (lacks_end(file)) throw Error(file.string(), "is truncated", "replace it");
   const auto input = open_input(file);
   const OIIO::ImageSpec& spec = input->spec();
   if (spec.width <= 0 || spec.height <= 0) throw Error(file.string(), "has no pixels", "replace it");
-  if (lacks_end(file, input->format_name())) throw Error(file.string(), "is truncated", "replace it");
   Image image;
   image.width = spec.width;
   image.height = spec.height;
