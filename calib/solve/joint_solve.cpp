@@ -52,7 +52,6 @@ mrcal_problem_selections_t selections(const SolveOptions& options, bool core, bo
   s.do_optimize_intrinsics_distortions = all;
   s.do_optimize_calobject_warp = all && options.board_warp;
   s.do_apply_regularization = options.regularise && core;
-  s.do_apply_outlier_rejection = all && options.reject_outliers;
   return s;
 }
 
@@ -106,8 +105,7 @@ class Problem {
 
   /// Residuals and Jacobian at the present values.
   bool linearise(mrcal_problem_selections_t what, Linearisation& l) const {
-    what.do_apply_outlier_rejection = false;
-    l.states = mrcal_num_states(n_cameras(), n_cameras() - 1, n_frames(), 0, 0, n_boards(), what, &lens_);
+      l.states = mrcal_num_states(n_cameras(), n_cameras() - 1, n_frames(), 0, 0, n_boards(), what, &lens_);
     l.measurements = mrcal_num_measurements(n_boards(), 0, board_.columns, board_.rows, n_cameras(),
                                             n_cameras() - 1, n_frames(), 0, 0, what, &lens_);
     const int nonzero = _mrcal_num_j_nonzero(n_boards(), 0, board_.columns, board_.rows, n_cameras(),
@@ -168,6 +166,7 @@ class Problem {
   }
   Eigen::Vector2d warp() const { return {warp_.x2, warp_.y2}; }
   double weight(std::size_t i) const { return pool_[i].z; }
+  void reject(std::size_t i) { pool_[i].z = -1; }
 
  private:
   void add_observations(const std::vector<BoardObservation>& boards) {
@@ -198,6 +197,29 @@ class Problem {
   std::vector<mrcal_point3_t> pool_;
   mrcal_problem_constants_t constants_ = {0.01, 1e5};  // of single points, which we have none of
 };
+
+/// Takes out the corners whose x or y residual is beyond kOutlierSigmas deviations of the inliers; returns whether
+/// it found one that is worth another solve. (mrcal's own rejection does the same and writes to stderr.)
+bool reject_outliers(Problem& problem, const Problem::Linearisation& l, std::size_t corners) {
+  constexpr double kOutlierSigmas = 4.5, kWorthSigmas = 5;
+  double sum_sq = 0;
+  std::size_t count = 0;
+  for (std::size_t i = 0; i < corners; ++i) {
+    if (problem.weight(i) <= 0) continue;
+    sum_sq += l.x[2 * i] * l.x[2 * i] + l.x[2 * i + 1] * l.x[2 * i + 1];
+    count += 2;
+  }
+  const double sigma = std::sqrt(sum_sq / static_cast<double>(count));
+  double worst = 0;
+  for (std::size_t i = 0; i < corners; ++i)
+    if (problem.weight(i) > 0)
+      worst = std::max({worst, std::abs(l.x[2 * i]), std::abs(l.x[2 * i + 1])});
+  // Below a thousandth of a pixel deviations are those of arithmetic: exact corners have no outliers.
+  if (!(worst > kWorthSigmas * sigma) || sigma < 1e-3) return false;
+  for (std::size_t i = 0; i < corners; ++i)
+    if (std::max(std::abs(l.x[2 * i]), std::abs(l.x[2 * i + 1])) > kOutlierSigmas * sigma) problem.reject(i);
+  return true;
+}
 
 /// mrcal wants observations in the order of their sets.
 std::vector<int> solving_order(const std::vector<BoardObservation>& boards) {
@@ -393,12 +415,17 @@ JointSolution joint_solve(const Observations& in, const Seed& seed, const SolveO
   const auto all = selections(options, true, true);
   bool solved = problem.optimise(selections(options, false, false)) &&
                 problem.optimise(selections(options, true, false)) && problem.optimise(all);
+  constexpr int kMostRounds = 20;
+  Problem::Linearisation l;
+  solved = problem.linearise(all, l) && solved;
+  for (int round = 0; solved && options.reject_outliers && round < kMostRounds; ++round) {
+    if (!reject_outliers(problem, l, order.size() * static_cast<std::size_t>(in.board.corners()))) break;
+    solved = problem.optimise(all) && problem.linearise(all, l);
+  }
   JointSolution out;
   out.cameras = problem.cameras();
   out.ref_from_board = problem.ref_from_board();
   out.warp_m = problem.warp();
-  Problem::Linearisation l;
-  solved = problem.linearise(all, l) && solved;
   note_residuals(in, order, problem, l, out);
   Factor factor(l);
   out.converged = solved && factor.good() && out.inliers > 0 && at_minimum(factor, l);
@@ -431,10 +458,8 @@ HeldOutError held_out_error(const Observations& in, const JointSolution& solutio
   for (BoardObservation& b : held) b.camera = new_index[b.camera];
   if (held.empty() || !connected(rest, static_cast<int>(cameras.size()))) return {};
 
-  SolveOptions same = options;
-  same.reject_outliers = false;
   Problem problem(in.board, cameras, frames, solution.warp_m, in_order(rest, solving_order(rest)));
-  if (!problem.optimise(selections(same, true, true))) return {};
+  if (!problem.optimise(selections(options, true, true))) return {};
   mrcal_problem_selections_t pose_only = {};
   pose_only.do_optimize_frames = true;
   held = in_order(held, solving_order(held));

@@ -16,7 +16,7 @@ struct SolveOptions {
   Lens lens = Lens::opencv4;
   bool regularise = true;       ///< mrcal's light pull of distortions to 0 and centres to the middle
   bool board_warp = true;       ///< solve for the board's bend, two parabolas
-  bool reject_outliers = true;  ///< corners beyond mrcal's multiple of sigma, until none is found
+  bool reject_outliers = true;  ///< corners beyond 4.5 sigma, until none is left beyond 5
   bool covariance = true;
 };
 
@@ -44,7 +44,7 @@ struct JointSolution {
 ///   minimise sum_i w_i^2 |project(cam_from_ref ref_from_board p_i(warp)) - q_i|^2 + regularisation
 ///
 /// In stages from the seed: geometry; then focal lengths and centres too; then all. Outliers are corners whose
-/// residual exceeds mrcal's multiple of the residuals' deviation; the solve repeats until there are no new ones.
+/// x or y residual exceeds 4.5 deviations of all; the solve repeats until none is left beyond 5.
 /// Covariances: (J^T J)^-1 of the last stage, J from mrcal_optimizer_callback, factorised by CHOLMOD, so all
 /// correlations between lenses, cameras and boards are in. Directions that the observations leave free get a
 /// very large, finite variance.
