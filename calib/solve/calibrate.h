@@ -19,7 +19,7 @@ struct CalibrationOptions {
   double most_rms_px = 0.5;    ///< beyond it the verdict is not good
   double most_sigma = 0.1;     ///< of a centre in spacings: beyond it a camera is not determined
   double most_focal_sigma = 0.02;  ///< of a focal length, relative: the same
-  double least_coverage = 0.1;     ///< part of its picture that a camera's corners must span
+  double least_coverage = 0.05;    ///< part of its picture that a camera's corners must span
 };
 
 struct CameraSummary {
