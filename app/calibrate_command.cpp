@@ -21,11 +21,14 @@ struct Flags : CommonFlags {
 
 using Clock = std::chrono::steady_clock;
 
-double seconds_since(Clock::time_point begin) { return std::chrono::duration<double>(Clock::now() - begin).count(); }
+double seconds_since(Clock::time_point begin) {
+  return std::chrono::duration<double>(Clock::now() - begin).count();
+}
 
 Board choose_board(const Flags& flags, const Recording& recording) {
   if (!flags.board.empty()) return parse_board(flags.board);
-  if (recording.source.is_object() && recording.source.contains("board") && recording.source["board"].is_string())
+  if (recording.source.is_object() && recording.source.contains("board") &&
+      recording.source["board"].is_string())
     return parse_board(recording.source["board"]);
   throw Error(flags.recording.string(), "does not say which board it shows",
               "name it: --board chessboard:28x17:20mm (inner corners, square size)");
@@ -61,10 +64,13 @@ Json produced_by(const Flags& flags, const Recording& recording, const Calibrati
 }
 
 void print_summary(const Flags& flags, const Calibration& c) {
-  const auto step = [](const Eigen::Vector2d& v) { return v.norm() > 0 ? fmt::format("{:.2f}", 1e3 * v.norm()) : "-"; };
+  const auto step = [](const Eigen::Vector2d& v) {
+    return v.norm() > 0 ? fmt::format("{:.2f}", 1e3 * v.norm()) : "-";
+  };
   fmt::print("{}: {}x{} lattice, spacing {} x {} mm, rms {:.3f} px, {:.1f} % outliers, {:.2f} mm off plane\n",
              flags.output.string(), c.rig.rows, c.rig.cols, step(c.rig.s_step_m), step(c.rig.t_step_m),
-             c.solution.rms_px, 100.0 * c.solution.outliers / std::max(1, c.solution.inliers + c.solution.outliers),
+             c.solution.rms_px,
+             100.0 * c.solution.outliers / std::max(1, c.solution.inliers + c.solution.outliers),
              1e3 * c.rig.rms_off_plane_m);
   if (c.cross_validation_px) fmt::print("left-out boards: rms {:.3f} px\n", *c.cross_validation_px);
   fmt::print("verdict: {}\n", c.good ? "good" : "not good");
@@ -88,7 +94,8 @@ int run(const Flags& flags) {
 
   CalibrationOptions options;
   options.solve.lens = flags.lens;
-  Calibration c = calibrate(observations_of(recording, board, std::move(found)), recording, options, reporter);
+  Calibration c =
+      calibrate(observations_of(recording, board, std::move(found)), recording, options, reporter);
   c.rig.produced_by = produced_by(flags, recording, c);
 
   AtomicOutput output(flags.output, AtomicOutput::Kind::folder, flags.force);
@@ -106,15 +113,16 @@ int run(const Flags& flags) {
 
 void add_calibrate_command(CLI::App& app, Action& action) {
   auto flags = std::make_shared<Flags>();
-  CLI::App* command = app.add_subcommand(
-      "calibrate",
-      "Finds boards and solves for all cameras: lenses, places, plane and lattice.\n\n"
-      "  stuv capture -o rec && stuv calibrate rec -o rig\n"
-      "  stuv calibrate rec -o rig --board chessboard:28x17:20mm\n");
+  CLI::App* command =
+      app.add_subcommand("calibrate",
+                         "Finds boards and solves for all cameras: lenses, places, plane and lattice.\n\n"
+                         "  stuv capture -o rec && stuv calibrate rec -o rig\n"
+                         "  stuv calibrate rec -o rig --board chessboard:28x17:20mm\n");
   command->add_option("recording", flags->recording, "The recording's folder")->required()->type_name("REC");
   command->add_option("-o,--output", flags->output, "The rig's folder")->required()->type_name("RIG");
-  command->add_option("--board", flags->board,
-                      "chessboard:COLSxROWS:SIZE, inner corners and square size [what the recording says]")
+  command
+      ->add_option("--board", flags->board,
+                   "chessboard:COLSxROWS:SIZE, inner corners and square size [what the recording says]")
       ->type_name("BOARD");
   const std::map<std::string, Lens> lenses = {
       {"opencv4", Lens::opencv4}, {"opencv8", Lens::opencv8}, {"splined", Lens::splined}};

@@ -12,7 +12,8 @@ namespace stuv {
 namespace {
 
 [[noreturn]] void refuse(const std::string& spec, const std::string& why) {
-  throw Error("board '" + spec + "'", why, "write it like chessboard:28x17:20mm (inner corners, square size)");
+  throw Error("board '" + spec + "'", why,
+              "write it like chessboard:28x17:20mm (inner corners, square size)");
 }
 
 /// Takes a number off the front of `text`; false if there is none.
@@ -51,7 +52,8 @@ Board parse_board(const std::string& spec) {
   board.square_m = size * unit;
   if (!(board.square_m > 0) || !std::isfinite(board.square_m)) refuse(spec, "has a square size of nothing");
   if (board.columns < 3 || board.rows < 3) refuse(spec, "has fewer than 3 inner corners along a side");
-  if (board.columns > 1000 || board.rows > 1000) refuse(spec, "has more than 1000 inner corners along a side");
+  if (board.columns > 1000 || board.rows > 1000)
+    refuse(spec, "has more than 1000 inner corners along a side");
   if (board.columns == board.rows) refuse(spec, "is square: turned by 90 degrees it looks the same");
   return board;
 }

@@ -18,8 +18,8 @@ struct Board {
 };
 
 /// Reads "chessboard:COLSxROWS:SIZE", inner corners, SIZE with its unit mm, cm or m: chessboard:28x17:20mm.
-/// Throws Error naming the text unless COLS, ROWS >= 3 differ and SIZE > 0: a square board can be told neither
-/// from itself turned by 90 degrees nor mirrored rows from columns.
+/// Throws Error naming the text unless COLS, ROWS >= 3 differ and SIZE > 0: a square board can be told
+/// neither from itself turned by 90 degrees nor mirrored rows from columns.
 Board parse_board(const std::string& spec);
 
 /// The text that parse_board reads; one text for one board, whatever unit it was written in.

@@ -73,16 +73,16 @@ void keep(const fs::path& file, const Stamp& stamp, const Board& board, const Si
   Json corners = Json::array();
   for (const Eigen::Vector2d& c : sighting.corners) corners.push_back({c.x(), c.y()});
   fs::create_directories(file.parent_path());
-  write_json(file, {{"format", kFormat},
-                    {"version", kVersion},
-                    {"board", board_spec(board)},
-                    {"detector", kDetectorVersion},
-                    {"picture",
-                     {{"bytes", stamp.bytes},
-                      {"changed", stamp.changed},
-                      {"size_px", {sighting.width, sighting.height}}}},
-                    {"found", !sighting.corners.empty()},
-                    {"corners_px", corners}});
+  write_json(
+      file,
+      {{"format", kFormat},
+       {"version", kVersion},
+       {"board", board_spec(board)},
+       {"detector", kDetectorVersion},
+       {"picture",
+        {{"bytes", stamp.bytes}, {"changed", stamp.changed}, {"size_px", {sighting.width, sighting.height}}}},
+       {"found", !sighting.corners.empty()},
+       {"corners_px", corners}});
 }
 
 Sighting look(const fs::path& file, const Board& board) {
@@ -115,7 +115,8 @@ std::vector<Place> good_frames(const Recording& recording) {
   return places;
 }
 
-void note_size(const Recording& recording, const Place& place, const Sighting& sighting, FoundCorners& found) {
+void note_size(const Recording& recording, const Place& place, const Sighting& sighting,
+               FoundCorners& found) {
   Eigen::Vector2i& size = found.size_px[place.camera];
   const Eigen::Vector2i now(sighting.width, sighting.height);
   if (size.isZero()) size = now;

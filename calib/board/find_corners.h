@@ -20,10 +20,10 @@ struct FoundCorners {
 
 /// Finds the board in all good frames of a recording, frames in parallel (detect_board).
 ///
-/// What was found, or that nothing was, is kept in REC/corners/BOARD/SET/CAMERA.json with the picture's size on
-/// disk and time of change; while these and kDetectorVersion stay the same the picture is not opened again. A
-/// recording that cannot be written to is used without, with one warning.
-/// Throws Error naming the file if a picture cannot be read, or the camera if the size of its pictures changes.
+/// What was found, or that nothing was, is kept in REC/corners/BOARD/SET/CAMERA.json with the picture's size
+/// on disk and time of change; while these and kDetectorVersion stay the same the picture is not opened
+/// again. A recording that cannot be written to is used without, with one warning. Throws Error naming the
+/// file if a picture cannot be read, or the camera if the size of its pictures changes.
 FoundCorners find_corners(const Recording& recording, const Board& board, const Reporter& reporter = {});
 
 }  // namespace stuv

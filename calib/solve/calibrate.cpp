@@ -40,8 +40,8 @@ double median_spacing(const std::vector<Eigen::Vector3d>& centres) {
   return nearest[nearest.size() / 2];
 }
 
-/// Cameras whose lens and place the boards determine. Takes the least determined one out until the rest are: one
-/// loose camera makes the alignment, and so all others, look loose.
+/// Cameras whose lens and place the boards determine. Takes the least determined one out until the rest are:
+/// one loose camera makes the alignment, and so all others, look loose.
 std::vector<int> determined_cameras(const JointSolution& s, const CalibrationOptions& options) {
   std::vector<int> which;
   const double noise = std::max(kLeastNoisePx, std::isfinite(s.noise_px) ? s.noise_px : 1e9);
@@ -52,7 +52,8 @@ std::vector<int> determined_cameras(const JointSolution& s, const CalibrationOpt
   }
   while (which.size() > 1) {
     const auto centres = centres_of(s.cameras, which);
-    const Eigen::VectorXd variance = rigidly_aligned(block_of(s.centre_covariance, which), centres).diagonal();
+    const Eigen::VectorXd variance =
+        rigidly_aligned(block_of(s.centre_covariance, which), centres).diagonal();
     Eigen::Index worst = 0;
     const double sigma = noise * std::sqrt(variance.maxCoeff(&worst));
     if (sigma < options.most_sigma * median_spacing(centres)) break;
@@ -128,8 +129,8 @@ void fill_rig(Calibration& c, const std::vector<int>& determined) {
   for (const int i : determined) rig.cameras[i].determined = true;
   note_depths(c);
   if (determined.size() < 2) return;
-  const Eigen::MatrixXd aligned =
-      rigidly_aligned(block_of(c.solution.centre_covariance, determined), centres_of(c.solution.cameras, determined));
+  const Eigen::MatrixXd aligned = rigidly_aligned(block_of(c.solution.centre_covariance, determined),
+                                                  centres_of(c.solution.cameras, determined));
   const auto n = static_cast<Eigen::Index>(determined.size());
   Eigen::MatrixXd turn = Eigen::MatrixXd::Zero(3 * n, 3 * n);
   for (Eigen::Index i = 0; i < n; ++i) turn.block<3, 3>(3 * i, 3 * i) = c.layout.rig_from_ref.R;
@@ -175,7 +176,8 @@ void judge(Calibration& c, const CalibrationOptions& options) {
     else if (c.cameras[i].boards < 2)
       bad(fmt::format("camera {} saw one board only", name));
     if (c.cameras[i].coverage < options.least_coverage)
-      bad(fmt::format("boards cover only {:.0f} % of camera {}'s picture", 100 * c.cameras[i].coverage, name));
+      bad(fmt::format("boards cover only {:.0f} % of camera {}'s picture", 100 * c.cameras[i].coverage,
+                      name));
     if (c.rig.cameras[i].determined && c.rig.cameras.size() > 2 &&
         c.rig.cameras[i].off_lattice_m.norm() > 0.5 * spacing)
       bad(fmt::format("camera {} stands {:.3f} m off its place in the recorded grid", name,
@@ -186,7 +188,8 @@ void judge(Calibration& c, const CalibrationOptions& options) {
 
 }  // namespace
 
-Eigen::MatrixXd rigidly_aligned(const Eigen::MatrixXd& covariance, const std::vector<Eigen::Vector3d>& centres) {
+Eigen::MatrixXd rigidly_aligned(const Eigen::MatrixXd& covariance,
+                                const std::vector<Eigen::Vector3d>& centres) {
   const auto n = static_cast<Eigen::Index>(centres.size());
   Eigen::Vector3d mean = Eigen::Vector3d::Zero();
   for (const Eigen::Vector3d& c : centres) mean += c / static_cast<double>(n);
@@ -207,8 +210,8 @@ Eigen::MatrixXd rigidly_aligned(const Eigen::MatrixXd& covariance, const std::ve
   return P * covariance * P;
 }
 
-Calibration calibrate(Observations observations, const Recording& recording, const CalibrationOptions& options,
-                      const Reporter& reporter) {
+Calibration calibrate(Observations observations, const Recording& recording,
+                      const CalibrationOptions& options, const Reporter& reporter) {
   Calibration c;
   c.observations = std::move(observations);
   reporter.at("solving", 0, 2);
@@ -219,7 +222,8 @@ Calibration calibrate(Observations observations, const Recording& recording, con
   const std::vector<int> determined = determined_cameras(c.solution, options);
   std::vector<PlacedCamera> placed;
   for (std::size_t i = 0; i < c.solution.cameras.size(); ++i)
-    placed.push_back({c.solution.cameras[i].cam_from_rig, recording.cameras[i].row, recording.cameras[i].col, false});
+    placed.push_back(
+        {c.solution.cameras[i].cam_from_rig, recording.cameras[i].row, recording.cameras[i].col, false});
   for (const int i : determined) placed[i].determined = true;
   c.layout = fit_layout(placed, recording.rows, recording.cols);
   for (std::size_t i = 0; i < placed.size(); ++i) c.cameras.push_back(summary_of(c, static_cast<int>(i)));

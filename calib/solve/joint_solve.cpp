@@ -97,20 +97,20 @@ class Problem {
 
   struct Linearisation {
     int states = 0, measurements = 0;
-    std::vector<double> x;            // the boards' measurements first, then regularisation
-    std::vector<int> column, row;     // J^T by columns: one a measurement
+    std::vector<double> x;         // the boards' measurements first, then regularisation
+    std::vector<int> column, row;  // J^T by columns: one a measurement
     std::vector<double> value;
     cholmod_sparse Jt = {};
   };
 
   /// Residuals and Jacobian at the present values.
   bool linearise(mrcal_problem_selections_t what, Linearisation& l) const {
-      l.states = mrcal_num_states(n_cameras(), n_cameras() - 1, n_frames(), 0, 0, n_boards(), what, &lens_);
+    l.states = mrcal_num_states(n_cameras(), n_cameras() - 1, n_frames(), 0, 0, n_boards(), what, &lens_);
     l.measurements = mrcal_num_measurements(n_boards(), 0, board_.columns, board_.rows, n_cameras(),
                                             n_cameras() - 1, n_frames(), 0, 0, what, &lens_);
-    const int nonzero = _mrcal_num_j_nonzero(n_boards(), 0, board_.columns, board_.rows, n_cameras(),
-                                             n_cameras() - 1, n_frames(), 0, 0, observations_.data(), nullptr,
-                                             what, &lens_);
+    const int nonzero =
+        _mrcal_num_j_nonzero(n_boards(), 0, board_.columns, board_.rows, n_cameras(), n_cameras() - 1,
+                             n_frames(), 0, 0, observations_.data(), nullptr, what, &lens_);
     l.x.assign(l.measurements, 0);
     l.column.assign(l.measurements + 1, 0);
     l.row.assign(nonzero, 0);
@@ -127,12 +127,12 @@ class Problem {
     l.Jt.sorted = 1;
     l.Jt.packed = 1;
     std::vector<double> state(l.states);
-    return mrcal_optimizer_callback(
-        state.data(), l.states * static_cast<int>(sizeof(double)), l.x.data(),
-        l.measurements * static_cast<int>(sizeof(double)), &l.Jt, intrinsics_.data(), extrinsics_.data(),
-        frames_.data(), nullptr, &warp_, n_cameras(), n_cameras() - 1, n_frames(), 0, 0, observations_.data(),
-        nullptr, n_boards(), 0, pool_.data(), &lens_, sizes_.data(), what, &constants_, board_.square_m,
-        board_.columns, board_.rows, false);
+    return mrcal_optimizer_callback(state.data(), l.states * static_cast<int>(sizeof(double)), l.x.data(),
+                                    l.measurements * static_cast<int>(sizeof(double)), &l.Jt,
+                                    intrinsics_.data(), extrinsics_.data(), frames_.data(), nullptr, &warp_,
+                                    n_cameras(), n_cameras() - 1, n_frames(), 0, 0, observations_.data(),
+                                    nullptr, n_boards(), 0, pool_.data(), &lens_, sizes_.data(), what,
+                                    &constants_, board_.square_m, board_.columns, board_.rows, false);
   }
 
   /// Packed state (unitless, as in J) to metres, radians and pixels: scales the vector in place.
@@ -146,8 +146,8 @@ class Problem {
   }
   int pose_state(mrcal_problem_selections_t what, int camera) const {
     if (camera == 0) return -1;
-    return mrcal_state_index_extrinsics(camera - 1, n_cameras(), n_cameras() - 1, n_frames(), 0, 0, n_boards(),
-                                        what, &lens_);
+    return mrcal_state_index_extrinsics(camera - 1, n_cameras(), n_cameras() - 1, n_frames(), 0, 0,
+                                        n_boards(), what, &lens_);
   }
 
   std::vector<Camera> cameras() const {
@@ -198,8 +198,9 @@ class Problem {
   mrcal_problem_constants_t constants_ = {0.01, 1e5};  // of single points, which we have none of
 };
 
-/// Takes out the corners whose x or y residual is beyond kOutlierSigmas deviations of the inliers; returns whether
-/// it found one that is worth another solve. (mrcal's own rejection does the same and writes to stderr.)
+/// Takes out the corners whose x or y residual is beyond kOutlierSigmas deviations of the inliers; returns
+/// whether it found one that is worth another solve. (mrcal's own rejection does the same and writes to
+/// stderr.)
 bool reject_outliers(Problem& problem, const Problem::Linearisation& l, std::size_t corners) {
   constexpr double kOutlierSigmas = 4.5, kWorthSigmas = 5;
   double sum_sq = 0;
@@ -212,8 +213,7 @@ bool reject_outliers(Problem& problem, const Problem::Linearisation& l, std::siz
   const double sigma = std::sqrt(sum_sq / static_cast<double>(count));
   double worst = 0;
   for (std::size_t i = 0; i < corners; ++i)
-    if (problem.weight(i) > 0)
-      worst = std::max({worst, std::abs(l.x[2 * i]), std::abs(l.x[2 * i + 1])});
+    if (problem.weight(i) > 0) worst = std::max({worst, std::abs(l.x[2 * i]), std::abs(l.x[2 * i + 1])});
   // Below a thousandth of a pixel deviations are those of arithmetic: exact corners have no outliers.
   if (!(worst > kWorthSigmas * sigma) || sigma < 1e-3) return false;
   for (std::size_t i = 0; i < corners; ++i)
@@ -279,8 +279,8 @@ void note_residuals(const Observations& in, const std::vector<int>& order, const
   out.noise_px = freedom > 0 ? std::sqrt(weighted_sum_sq / freedom) : kNaN;
 }
 
-/// d centre / d (r, t) of x_cam = R(r) x + t: centre c = -R^T t, dc/dt = -R^T, dc/dr = [c]x J_r(r), J_r the right
-/// Jacobian of SO(3).
+/// d centre / d (r, t) of x_cam = R(r) x + t: centre c = -R^T t, dc/dt = -R^T, dc/dr = [c]x J_r(r), J_r the
+/// right Jacobian of SO(3).
 Eigen::Matrix<double, 3, 6> centre_jacobian(const Pose& cam_from_ref) {
   const auto cross = [](const Eigen::Vector3d& v) {
     Eigen::Matrix3d m;

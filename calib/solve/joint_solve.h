@@ -39,21 +39,23 @@ struct JointSolution {
   std::vector<Eigen::Vector2d> focal_sigma;
 };
 
-/// The one joint solve: all lenses, camera poses, board poses and the board's bend, by mrcal's sparse dog leg.
+/// The one joint solve: all lenses, camera poses, board poses and the board's bend, by mrcal's sparse dog
+/// leg.
 ///
 ///   minimise sum_i w_i^2 |project(cam_from_ref ref_from_board p_i(warp)) - q_i|^2 + regularisation
 ///
-/// In stages from the seed: geometry; then focal lengths and centres too; then all. Outliers are corners whose
-/// x or y residual exceeds 4.5 deviations of all; the solve repeats until none is left beyond 5.
+/// In stages from the seed: geometry; then focal lengths and centres too; then all. Outliers are corners
+/// whose x or y residual exceeds 4.5 deviations of all; the solve repeats until none is left beyond 5.
 /// Covariances: (J^T J)^-1 of the last stage, J from mrcal_optimizer_callback, factorised by CHOLMOD, so all
 /// correlations between lenses, cameras and boards are in. Directions that the observations leave free get a
 /// very large, finite variance.
 /// Never throws for numerical reasons: see `converged`.
-JointSolution joint_solve(const Observations& observations, const Seed& seed, const SolveOptions& options = {});
+JointSolution joint_solve(const Observations& observations, const Seed& seed,
+                          const SolveOptions& options = {});
 
-/// Solves again without the boards of `left_out_set`, starting from `solution` with its outliers, then fits only
-/// that board's pose to the result. Returns the sum of squares and the number of x and y residuals of the set's
-/// inliers; count 0 if the remaining boards do not connect the cameras that see it.
+/// Solves again without the boards of `left_out_set`, starting from `solution` with its outliers, then fits
+/// only that board's pose to the result. Returns the sum of squares and the number of x and y residuals of
+/// the set's inliers; count 0 if the remaining boards do not connect the cameras that see it.
 struct HeldOutError {
   double sum_sq_px2 = 0;
   int count = 0;

@@ -33,8 +33,8 @@ struct OffLattice {
   }
 };
 
-/// Holds the turn that centres on one line leave free: one component of the mean viewing direction is 0. Along a
-/// line this is exact whatever its weight, as nothing else depends on that turn.
+/// Holds the turn that centres on one line leave free: one component of the mean viewing direction is 0.
+/// Along a line this is exact whatever its weight, as nothing else depends on that turn.
 struct DirectionComponent {
   Eigen::Vector3d direction;
   int component;
@@ -95,8 +95,9 @@ Affine affine_fit(const std::vector<PlacedCamera>& cameras) {
     b.row(i) = centres[i].transpose();
   }
   // The least norm solution: 0 for a step that no two cameras differ by.
-  const Eigen::MatrixXd x =
-      (A.rowwise() - A.colwise().mean()).completeOrthogonalDecomposition().solve(b.rowwise() - b.colwise().mean());
+  const Eigen::MatrixXd x = (A.rowwise() - A.colwise().mean())
+                                .completeOrthogonalDecomposition()
+                                .solve(b.rowwise() - b.colwise().mean());
   if (fit.has_s) fit.s = x.row(1).transpose();
   if (fit.has_t) fit.t = x.row(2).transpose();
   return fit;
@@ -143,7 +144,8 @@ void refine(const std::vector<PlacedCamera>& cameras, const Means& means, const 
   const Eigen::Vector3d s = layout.rig_from_ref.R * fit.s, t = layout.rig_from_ref.R * fit.t;
   u.s = s.x();
   u.t = {t.x(), t.y()};
-  const double spacing = std::max(1e-9, fit.has_s && fit.has_t ? std::min(s.norm(), t.norm()) : s.norm() + t.norm());
+  const double spacing =
+      std::max(1e-9, fit.has_s && fit.has_t ? std::min(s.norm(), t.norm()) : s.norm() + t.norm());
 
   ceres::Problem problem;
   Eigen::Vector2d mean_place = Eigen::Vector2d::Zero();
@@ -189,7 +191,8 @@ Layout fit_layout(const std::vector<PlacedCamera>& cameras, int rows, int cols) 
   layout.cols = cols;
   for (const PlacedCamera& c : cameras) layout.row.push_back(c.row), layout.col.push_back(c.col);
   layout.off_lattice_m.assign(cameras.size(), Eigen::Vector3d::Zero());
-  const auto determined = std::count_if(cameras.begin(), cameras.end(), [](const auto& c) { return c.determined; });
+  const auto determined =
+      std::count_if(cameras.begin(), cameras.end(), [](const auto& c) { return c.determined; });
   if (determined == 0) return layout;
 
   const Means means = means_of(cameras);

@@ -30,11 +30,11 @@ struct Layout {
 ///
 ///   minimise sum_i rho(|R (c_i - mean c) - (o + col_i s + row_i t, 0)|^2),   s = (s_x, 0), o, t in the plane
 ///
-/// R: rig_from_ref, rho: Huber's, at a tenth of the spacing, so a camera that was pushed does not turn the lattice.
-/// By Ceres, from an affine fit. A single row leaves a turn about itself free: there the mean of the cameras'
-/// directions has no t component (a single column: no s component). z points where the cameras look, s to
-/// their right: rows and columns recorded against that are counted from the other end. One camera gives its own
-/// frame. Not converged if no camera is determined.
+/// R: rig_from_ref, rho: Huber's, at a tenth of the spacing, so a camera that was pushed does not turn the
+/// lattice. By Ceres, from an affine fit. A single row leaves a turn about itself free: there the mean of the
+/// cameras' directions has no t component (a single column: no s component). z points where the cameras look,
+/// s to their right: rows and columns recorded against that are counted from the other end. One camera gives
+/// its own frame. Not converged if no camera is determined.
 Layout fit_layout(const std::vector<PlacedCamera>& cameras, int rows, int cols);
 
 }  // namespace stuv

@@ -19,14 +19,15 @@ Json list(const Vector& v) {
 Json camera_json(const RigCamera& rc, const CameraSummary& summary) {
   const bool known = rc.determined;
   const Camera& camera = rc.camera;
-  return {{"name", camera.name},
-          {"row", rc.row},
-          {"col", rc.col},
-          {"focal_px", known ? list(Eigen::Vector2d(camera.intrinsics[0], camera.intrinsics[1])) : Json(nullptr)},
-          {"position_m", known ? list(camera.cam_from_rig.centre()) : Json(nullptr)},
-          {"position_sigma_m", known ? list(rc.position_sigma_m) : Json(nullptr)},
-          {"rms_px", number(summary.rms_px)},
-          {"determined", known}};
+  return {
+      {"name", camera.name},
+      {"row", rc.row},
+      {"col", rc.col},
+      {"focal_px", known ? list(Eigen::Vector2d(camera.intrinsics[0], camera.intrinsics[1])) : Json(nullptr)},
+      {"position_m", known ? list(camera.cam_from_rig.centre()) : Json(nullptr)},
+      {"position_sigma_m", known ? list(rc.position_sigma_m) : Json(nullptr)},
+      {"rms_px", number(summary.rms_px)},
+      {"determined", known}};
 }
 
 }  // namespace
@@ -36,7 +37,9 @@ Json report_json(const Calibration& c, double seconds, double seconds_corners) {
   Json cameras = Json::array();
   for (std::size_t i = 0; i < c.rig.cameras.size(); ++i)
     cameras.push_back(camera_json(c.rig.cameras[i], c.cameras[i]));
-  const auto spacing = [](const Eigen::Vector2d& step) { return step.norm() > 0 ? Json(step.norm()) : Json(nullptr); };
+  const auto spacing = [](const Eigen::Vector2d& step) {
+    return step.norm() > 0 ? Json(step.norm()) : Json(nullptr);
+  };
   const double corners = std::max(1, s.inliers + s.outliers);
   return {{"rms_px", number(s.rms_px)},
           {"worst_px", number(s.worst_px)},

@@ -39,9 +39,11 @@ void add_verdict(Page& page, const Calibration& c) {
   for (const std::string& reason : c.reasons) page.add("<li>{}</li>", escaped(reason));
   if (!c.reasons.empty()) page.add("</ul>\n");
   const JointSolution& s = c.solution;
-  page.add("<p>rms {:.3f} px over {} corners in {} views of the board; {} outliers ({:.1f} %); worst inlier {:.2f} px.",
-           s.rms_px, s.inliers, c.observations.boards.size(), s.outliers,
-           100.0 * s.outliers / std::max(1, s.inliers + s.outliers), s.worst_px);
+  page.add(
+      "<p>rms {:.3f} px over {} corners in {} views of the board; {} outliers ({:.1f} %); worst inlier "
+      "{:.2f} px.",
+      s.rms_px, s.inliers, c.observations.boards.size(), s.outliers,
+      100.0 * s.outliers / std::max(1, s.inliers + s.outliers), s.worst_px);
   if (c.cross_validation_px)
     page.add(" Boards that were left out are predicted to {:.3f} px rms.", *c.cross_validation_px);
   page.add(" The board bends by {:.2f} and {:.2f} mm.</p>\n", 1e3 * s.warp_m.x(), 1e3 * s.warp_m.y());
@@ -61,11 +63,12 @@ void add_layout(Page& page, const Calibration& c) {
   const double width = 900, margin = 50;
   const double scale = (width - 2 * margin) / std::max(box.sizes().x(), std::max(spacing, box.sizes().y()));
   const double height = 2 * margin + scale * box.sizes().y();
-  page.add("<h2>Layout</h2><p>{} x {} lattice, spacing {:.2f} x {:.2f} mm (s x t), {:.2f} mm rms off the plane. "
-           "Crosses: lattice. Dots: cameras as they look at the scene, remainders drawn {:.0f} times too long; "
-           "colour: off the plane, red towards the scene, blue away. Hollow: not determined.</p>\n",
-           rig.rows, rig.cols, 1e3 * rig.s_step_m.norm(), 1e3 * rig.t_step_m.norm(), 1e3 * rig.rms_off_plane_m,
-           exaggerate);
+  page.add(
+      "<h2>Layout</h2><p>{} x {} lattice, spacing {:.2f} x {:.2f} mm (s x t), {:.2f} mm rms off the plane. "
+      "Crosses: lattice. Dots: cameras as they look at the scene, remainders drawn {:.0f} times too long; "
+      "colour: off the plane, red towards the scene, blue away. Hollow: not determined.</p>\n",
+      rig.rows, rig.cols, 1e3 * rig.s_step_m.norm(), 1e3 * rig.t_step_m.norm(), 1e3 * rig.rms_off_plane_m,
+      exaggerate);
   page.add("<svg viewBox='0 0 {:.0f} {:.0f}' width='{:.0f}'>\n", width, height, width);
   const double off = std::max(1e-12, 2 * rig.rms_off_plane_m);
   for (const RigCamera& rc : rig.cameras) {
@@ -101,11 +104,13 @@ void add_histogram(Page& page, const Calibration& c) {
   const double bin = 2 * range / bins;
   const double peak_gauss = total * bin / (c.solution.rms_px * std::sqrt(2 * M_PI));
   const double top = std::max(peak_gauss, *std::max_element(count.begin(), count.end()));
-  page.add("<h2>Residuals</h2><p>Histogram over x and y, -{0:.2f} to {0:.2f} px; line: the Gaussian of their "
-           "deviation.</p><svg viewBox='0 0 610 200' width='610'>\n", range);
+  page.add(
+      "<h2>Residuals</h2><p>Histogram over x and y, -{0:.2f} to {0:.2f} px; line: the Gaussian of their "
+      "deviation.</p><svg viewBox='0 0 610 200' width='610'>\n",
+      range);
   for (int i = 0; i < bins; ++i)
-    page.add("<rect x='{}' y='{:.1f}' width='9' height='{:.1f}' fill='#69a'/>", 10 * i, 195 - 190 * count[i] / top,
-             190 * count[i] / top);
+    page.add("<rect x='{}' y='{:.1f}' width='9' height='{:.1f}' fill='#69a'/>", 10 * i,
+             195 - 190 * count[i] / top, 190 * count[i] / top);
   page.add("<polyline fill='none' stroke='#c30' points='");
   for (int i = 0; i < bins; ++i) {
     const double z = (-range + (i + 0.5) * bin) / c.solution.rms_px;
@@ -133,8 +138,10 @@ void add_field(Page& page, const Calibration& c, int camera) {
   }
   constexpr double step = 14;
   const double per_px = step / std::max(1e-9, 2 * c.solution.rms_px);
-  page.add("<figure><svg viewBox='0 0 {0:.0f} {1:.0f}' width='{0:.0f}'><rect width='100%' height='100%' "
-           "fill='#f4f4f4'/>", nx * step, ny * step);
+  page.add(
+      "<figure><svg viewBox='0 0 {0:.0f} {1:.0f}' width='{0:.0f}'><rect width='100%' height='100%' "
+      "fill='#f4f4f4'/>",
+      nx * step, ny * step);
   for (int y = 0; y < ny; ++y)
     for (int x = 0; x < nx; ++x) {
       const Eigen::Vector3d& s = cell[static_cast<std::size_t>(y * nx + x)];
@@ -142,9 +149,10 @@ void add_field(Page& page, const Calibration& c, int camera) {
       const Eigen::Vector2d from((x + 0.5) * step, (y + 0.5) * step);
       Eigen::Vector2d arrow = per_px * s.head<2>() / s.z();
       if (arrow.norm() > step) arrow *= step / arrow.norm();
-      page.add("<rect x='{:.0f}' y='{:.0f}' width='{}' height='{}' fill='#cde'/>", x * step, y * step, step, step);
-      page.add("<path d='M{:.1f} {:.1f}l{:.1f} {:.1f}' stroke='#c30' stroke-width='1.5'/>", from.x(), from.y(),
-               arrow.x(), arrow.y());
+      page.add("<rect x='{:.0f}' y='{:.0f}' width='{}' height='{}' fill='#cde'/>", x * step, y * step, step,
+               step);
+      page.add("<path d='M{:.1f} {:.1f}l{:.1f} {:.1f}' stroke='#c30' stroke-width='1.5'/>", from.x(),
+               from.y(), arrow.x(), arrow.y());
     }
   page.add("</svg><figcaption>{} · {:.3f} px · {:.0f} %</figcaption></figure>\n",
            escaped(c.observations.camera_names[camera]), c.cameras[camera].rms_px,
@@ -152,13 +160,15 @@ void add_field(Page& page, const Calibration& c, int camera) {
 }
 
 void add_table(Page& page, const Calibration& c) {
-  page.add("<h2>Cameras</h2><table><tr><th>name<th>row<th>col<th>f [px]<th>&sigma;<th>centre [px]<th>s, t, w [mm]"
-           "<th>&sigma; [mm]<th>boards<th>outliers<th>rms [px]</tr>\n");
+  page.add(
+      "<h2>Cameras</h2><table><tr><th>name<th>row<th>col<th>f [px]<th>&sigma;<th>centre [px]<th>s, t, w [mm]"
+      "<th>&sigma; [mm]<th>boards<th>outliers<th>rms [px]</tr>\n");
   for (std::size_t i = 0; i < c.rig.cameras.size(); ++i) {
     const RigCamera& rc = c.rig.cameras[i];
     const CameraSummary& s = c.cameras[i];
     const Eigen::Vector3d p = 1e3 * rc.camera.cam_from_rig.centre(), e = 1e3 * rc.position_sigma_m;
-    page.add("<tr{}><td>{}<td>{}<td>{}", rc.determined ? "" : " class='bad'", escaped(rc.camera.name), rc.row, rc.col);
+    page.add("<tr{}><td>{}<td>{}<td>{}", rc.determined ? "" : " class='bad'", escaped(rc.camera.name), rc.row,
+             rc.col);
     page.add("<td>{:.1f} {:.1f}<td>{:.2f}<td>{:.1f} {:.1f}", rc.camera.intrinsics[0], rc.camera.intrinsics[1],
              s.focal_sigma_px.maxCoeff(), rc.camera.intrinsics[2], rc.camera.intrinsics[3]);
     page.add("<td>{:.2f} {:.2f} {:.2f}", p.x(), p.y(), p.z());
@@ -185,9 +195,12 @@ std::string report_page(const Calibration& c) {
   add_verdict(page, c);
   add_layout(page, c);
   add_histogram(page, c);
-  page.add("<p>By camera: mean residual (observed minus predicted) in the cells of its picture, one cell is {:.2f} px "
-           "long; blue: where boards were seen. Below: rms and the part of the picture that the corners span.</p>\n",
-           2 * c.solution.rms_px);
+  page.add(
+      "<p>By camera: mean residual (observed minus predicted) in the cells of its picture, one cell is "
+      "{:.2f} px "
+      "long; blue: where boards were seen. Below: rms and the part of the picture that the corners "
+      "span.</p>\n",
+      2 * c.solution.rms_px);
   for (std::size_t i = 0; i < c.cameras.size(); ++i) add_field(page, c, static_cast<int>(i));
   add_table(page, c);
   return page.text + "</html>\n";

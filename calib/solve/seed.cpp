@@ -39,7 +39,8 @@ struct Points {
   std::vector<cv::Point2d> pixel;  ///< from the picture's middle
 };
 
-Points points_of(const Observations& in, const BoardObservation& b, const std::vector<Eigen::Vector3d>& model) {
+Points points_of(const Observations& in, const BoardObservation& b,
+                 const std::vector<Eigen::Vector3d>& model) {
   const Eigen::Vector2d middle = 0.5 * (in.size_px[b.camera].cast<double>() - Eigen::Vector2d::Ones());
   Points points;
   for (std::size_t i = 0; i < model.size(); ++i) {
@@ -133,9 +134,8 @@ struct Chain {
   double lever_m;
 
   int common(int a, int b) const {
-    return static_cast<int>(std::count_if(index.begin(), index.end(), [&](const std::vector<int>& set) {
-      return set[a] >= 0 && set[b] >= 0;
-    }));
+    return static_cast<int>(std::count_if(
+        index.begin(), index.end(), [&](const std::vector<int>& set) { return set[a] >= 0 && set[b] >= 0; }));
   }
 
   /// b_from_a, from all boards that both see.

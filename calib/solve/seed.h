@@ -9,9 +9,9 @@ namespace stuv {
 
 /// Where the joint solve starts.
 struct Seed {
-  std::vector<double> focal_px;       ///< of each camera
-  std::vector<Pose> cam_from_ref;     ///< of each camera; ref is camera 0
-  std::vector<Pose> ref_from_board;   ///< of each set; those without a board stay the identity
+  std::vector<double> focal_px;      ///< of each camera
+  std::vector<Pose> cam_from_ref;    ///< of each camera; ref is camera 0
+  std::vector<Pose> ref_from_board;  ///< of each set; those without a board stay the identity
 };
 
 /// First guesses from boards alone: focal lengths in closed form from the boards' homographies (pooled over

@@ -17,8 +17,8 @@ struct Scene {
 };
 
 /// rows x cols cameras 0.1 m apart with jitter in place, direction and lens, and tilted boards before them.
-Scene make_scene(int rows, int cols, int sets, const std::vector<std::string>& missing = {}, double noise_px = 0,
-                 unsigned seed = 1, double distance_m = 1.2) {
+Scene make_scene(int rows, int cols, int sets, const std::vector<std::string>& missing = {},
+                 double noise_px = 0, unsigned seed = 1, double distance_m = 1.2) {
   std::mt19937_64 random(seed);
   const auto draw = [&] {
     // Sum of 12 uniforms: the same on every standard library.
@@ -35,8 +35,14 @@ Scene make_scene(int rows, int cols, int sets, const std::vector<std::string>& m
       camera.name = "r" + std::to_string(r) + "c" + std::to_string(c);
       camera.lens_model = "LENSMODEL_OPENCV4";
       const double f = 900 + 5 * draw();
-      camera.intrinsics = {f, f + draw(), 399.5 + 3 * draw(), 299.5 + 3 * draw(), -0.05 + 0.005 * draw(),
-                           0.02 + 0.003 * draw(), 3e-4 * draw(), 3e-4 * draw()};
+      camera.intrinsics = {f,
+                           f + draw(),
+                           399.5 + 3 * draw(),
+                           299.5 + 3 * draw(),
+                           -0.05 + 0.005 * draw(),
+                           0.02 + 0.003 * draw(),
+                           3e-4 * draw(),
+                           3e-4 * draw()};
       camera.width = 800;
       camera.height = 600;
       const Eigen::Vector3d turn(0.01 * draw(), 0.01 * draw(), 0.01 * draw());
@@ -189,14 +195,16 @@ TEST_CASE("a corner that is not finite takes no part; a board without corners is
   scene.observations.boards[3].corners_px[7].y() = INFINITY;
   check_exact(scene);
   for (Eigen::Vector2d& q : scene.observations.boards[0].corners_px) q.x() = std::nan("");
-  CHECK_THROWS_WITH(calibrate(scene.observations, scene.recording), Contains("r0c0") && Contains("finite corners"));
+  CHECK_THROWS_WITH(calibrate(scene.observations, scene.recording),
+                    Contains("r0c0") && Contains("finite corners"));
 }
 
 TEST_CASE("cameras that cannot be solved together are named") {
   Scene scene = make_scene(1, 4, 6);
   Scene blind = scene;
   std::erase_if(blind.observations.boards, [](const auto& b) { return b.camera == 2; });
-  CHECK_THROWS_WITH(calibrate(blind.observations, blind.recording), Contains("r0c2") && Contains("never sees"));
+  CHECK_THROWS_WITH(calibrate(blind.observations, blind.recording),
+                    Contains("r0c2") && Contains("never sees"));
   // Cameras 0, 1 see the first sets, cameras 2, 3 the others.
   std::erase_if(scene.observations.boards, [](const auto& b) { return (b.camera < 2) != (b.set < 3); });
   CHECK_THROWS_WITH(calibrate(scene.observations, scene.recording),
@@ -206,7 +214,8 @@ TEST_CASE("cameras that cannot be solved together are named") {
 TEST_CASE("boards are read and refused") {
   CHECK(parse_board("chessboard:28x17:2cm").square_m == Approx(0.02));
   CHECK(board_spec(parse_board("chessboard:28x17:0.02m")) == "chessboard:28x17:20mm");
-  for (const char* bad : {"", "circles:3x4:1mm", "chessboard:28x17", "chessboard:28x17:20", "chessboard:2x9:1mm",
-                          "chessboard:7x7:1mm", "chessboard:9x6:-1mm", "chessboard:9x6:nanmm"})
+  for (const char* bad :
+       {"", "circles:3x4:1mm", "chessboard:28x17", "chessboard:28x17:20", "chessboard:2x9:1mm",
+        "chessboard:7x7:1mm", "chessboard:9x6:-1mm", "chessboard:9x6:nanmm"})
     CHECK_THROWS_AS(parse_board(bad), Error);
 }
