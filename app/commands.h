@@ -11,6 +11,7 @@ using Action = std::function<int()>;
 // One function a command, in app/NAME_command.cpp: adds the command with its flags and, when it is chosen,
 // sets `action`.
 void add_capture_command(CLI::App& app, Action& action);
+void add_calibrate_command(CLI::App& app, Action& action);
 void add_import_command(CLI::App& app, Action& action);
 void add_rectify_command(CLI::App& app, Action& action);
 

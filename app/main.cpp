@@ -16,6 +16,7 @@ int main(int argc, char** argv) {
   app.require_subcommand(1);
   Action action;
   add_capture_command(app, action);
+  add_calibrate_command(app, action);
   add_import_command(app, action);
   add_rectify_command(app, action);
   try {

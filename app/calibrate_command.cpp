@@ -1,0 +1,137 @@
+#include <fmt/format.h>
+
+#include <chrono>
+
+#include "app/commands.h"
+#include "app/console.h"
+#include "calib/board/find_corners.h"
+#include "calib/solve/report.h"
+#include "core/error.h"
+#include "core/files.h"
+
+namespace stuv {
+namespace {
+
+struct Flags : CommonFlags {
+  std::filesystem::path recording, output;
+  std::string board;
+  Lens lens = Lens::opencv4;
+  bool complete = false;
+};
+
+using Clock = std::chrono::steady_clock;
+
+double seconds_since(Clock::time_point begin) {
+  return std::chrono::duration<double>(Clock::now() - begin).count();
+}
+
+Board choose_board(const Flags& flags, const Recording& recording) {
+  if (!flags.board.empty()) return parse_board(flags.board);
+  if (recording.source.is_object() && recording.source.contains("board") &&
+      recording.source["board"].is_string())
+    return parse_board(recording.source["board"]);
+  throw Error(flags.recording.string(), "does not say which board it shows",
+              "name it: --board chessboard:28x17:20mm (inner corners, square size)");
+}
+
+Observations observations_of(const Recording& recording, const Board& board, FoundCorners found) {
+  Observations in;
+  in.board = board;
+  in.size_px = std::move(found.size_px);
+  for (const RecordedCamera& camera : recording.cameras) in.camera_names.push_back(camera.name);
+  for (std::size_t s = 0; s < recording.sets.size(); ++s) {
+    in.set_names.push_back(recording.sets[s].name);
+    for (std::size_t c = 0; c < recording.cameras.size(); ++c)
+      if (!found.corners[s][c].empty())
+        in.boards.push_back({static_cast<int>(c), static_cast<int>(s), std::move(found.corners[s][c]), {}});
+  }
+  return in;
+}
+
+const char* name_of(Lens lens) {
+  if (lens == Lens::opencv8) return "opencv8";
+  return lens == Lens::splined ? "splined" : "opencv4";
+}
+
+Json produced_by(const Flags& flags, const Recording& recording, const Calibration& c) {
+  return {{"program", std::string("stuv ") + STUV_VERSION},
+          {"board", board_spec(c.observations.board)},
+          {"lens", name_of(flags.lens)},
+          {"sets", recording.sets.size()},
+          {"boards", c.observations.boards.size()},
+          {"detector", "OpenCV findChessboardCornersSB"},
+          {"solver", "mrcal"}};
+}
+
+void print_summary(const Flags& flags, const Calibration& c) {
+  const auto step = [](const Eigen::Vector2d& v) {
+    return v.norm() > 0 ? fmt::format("{:.2f}", 1e3 * v.norm()) : "-";
+  };
+  fmt::print("{}: {}x{} lattice, spacing {} x {} mm, rms {:.3f} px, {:.1f} % outliers, {:.2f} mm off plane\n",
+             flags.output.string(), c.rig.rows, c.rig.cols, step(c.rig.s_step_m), step(c.rig.t_step_m),
+             c.solution.rms_px,
+             100.0 * c.solution.outliers / std::max(1, c.solution.inliers + c.solution.outliers),
+             1e3 * c.rig.rms_off_plane_m);
+  if (c.cross_validation_px) fmt::print("left-out boards: rms {:.3f} px\n", *c.cross_validation_px);
+  fmt::print("verdict: {}\n", c.good ? "good" : "not good");
+  for (const std::string& reason : c.reasons) fmt::print("  {}\n", reason);
+}
+
+int run(const Flags& flags) {
+  const auto begin = Clock::now();
+  check_output(flags.output, flags.force);
+  const Recording recording = open_recording(flags.recording);
+  if (flags.complete) require_complete(recording);
+  const Board board = choose_board(flags, recording);
+  const Reporter reporter = console_reporter();
+
+  FoundCorners found = find_corners(recording, board, reporter);
+  const double seconds_corners = seconds_since(begin);
+  if (found.boards == 0)
+    throw Error(flags.recording.string(),
+                fmt::format("board {} is seen in none of {} pictures", board_spec(board), found.pictures),
+                "check its inner corners COLSxROWS, light and focus");
+
+  CalibrationOptions options;
+  options.solve.lens = flags.lens;
+  Calibration c =
+      calibrate(observations_of(recording, board, std::move(found)), recording, options, reporter);
+  c.rig.produced_by = produced_by(flags, recording, c);
+
+  AtomicOutput output(flags.output, AtomicOutput::Kind::folder, flags.force);
+  write_rig(output.path(), c.rig);
+  const Json report = report_json(c, seconds_since(begin), seconds_corners);
+  write_json(output.path() / "report.json", report);
+  write_text(output.path() / "report.html", report_page(c));
+  output.commit();
+  write_result(flags, report);
+  print_summary(flags, c);
+  return c.good ? kDone : kVerdictNotGood;
+}
+
+}  // namespace
+
+void add_calibrate_command(CLI::App& app, Action& action) {
+  auto flags = std::make_shared<Flags>();
+  CLI::App* command =
+      app.add_subcommand("calibrate",
+                         "Finds boards and solves for all cameras: lenses, places, plane and lattice.\n\n"
+                         "  stuv capture -o rec && stuv calibrate rec -o rig\n"
+                         "  stuv calibrate rec -o rig --board chessboard:28x17:20mm\n");
+  command->add_option("recording", flags->recording, "The recording's folder")->required()->type_name("REC");
+  command->add_option("-o,--output", flags->output, "The rig's folder")->required()->type_name("RIG");
+  command
+      ->add_option("--board", flags->board,
+                   "chessboard:COLSxROWS:SIZE, inner corners and square size [what the recording says]")
+      ->type_name("BOARD");
+  const std::map<std::string, Lens> lenses = {
+      {"opencv4", Lens::opencv4}, {"opencv8", Lens::opencv8}, {"splined", Lens::splined}};
+  command->add_option("--lens", flags->lens, "opencv4, opencv8 or splined [opencv4]")
+      ->transform(CLI::CheckedTransformer(lenses))
+      ->type_name("LENS");
+  command->add_flag("--complete", flags->complete, "Refuse a recording with sets that lack cameras");
+  add_common_flags(*command, *flags);
+  command->callback([flags, &action] { action = [flags] { return run(*flags); }; });
+}
+
+}  // namespace stuv

@@ -1,0 +1,29 @@
+#pragma once
+
+#include <Eigen/Dense>
+#include <vector>
+
+#include "calib/board/board.h"
+#include "core/progress.h"
+#include "core/recording.h"
+
+namespace stuv {
+
+struct FoundCorners {
+  /// [set][camera], in the recording's orders: the board's corners [px], or none.
+  std::vector<std::vector<std::vector<Eigen::Vector2d>>> corners;
+  std::vector<Eigen::Vector2i> size_px;  ///< of each camera's pictures; 0 if it has none
+  int pictures = 0;                      ///< that were looked at or remembered
+  int boards = 0;                        ///< of them with a board
+  int remembered = 0;                    ///< answered from REC/corners
+};
+
+/// Finds the board in all good frames of a recording, frames in parallel (detect_board).
+///
+/// What was found, or that nothing was, is kept in REC/corners/BOARD/SET/CAMERA.json with the picture's size
+/// on disk and time of change; while these and kDetectorVersion stay the same the picture is not opened
+/// again. A recording that cannot be written to is used without, with one warning. Throws Error naming the
+/// file if a picture cannot be read, or the camera if the size of its pictures changes.
+FoundCorners find_corners(const Recording& recording, const Board& board, const Reporter& reporter = {});
+
+}  // namespace stuv

@@ -1,0 +1,59 @@
+#pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "calib/solve/joint_solve.h"
+#include "calib/solve/lattice.h"
+#include "core/json.h"
+#include "core/progress.h"
+#include "core/recording.h"
+#include "core/rig.h"
+
+namespace stuv {
+
+struct CalibrationOptions {
+  SolveOptions solve;
+  int most_folds = 10;             ///< sets left out in turn for the cross-validation; 0: none
+  double most_rms_px = 0.5;        ///< beyond it the verdict is not good
+  double most_sigma = 0.1;         ///< of a centre in spacings: beyond it a camera is not determined
+  double most_focal_sigma = 0.02;  ///< of a focal length, relative: the same
+  double least_coverage = 0.05;    ///< part of its picture that a camera's corners must span
+};
+
+struct CameraSummary {
+  int boards = 0, inliers = 0, outliers = 0;
+  double rms_px = 0;    ///< over x and y; NaN without inliers
+  double coverage = 0;  ///< hull of all its corners over the picture
+  Eigen::Vector2d focal_sigma_px = {0, 0};
+};
+
+struct Calibration {
+  Observations observations;  ///< in the order of corners that was solved with
+  JointSolution solution;
+  Layout layout;
+  Rig rig;
+  std::vector<CameraSummary> cameras;
+  std::optional<double> cross_validation_px;
+  bool good = false;
+  std::vector<std::string> reasons;  ///< why it is not good
+};
+
+/// The whole chain from corners to rig: seed_solve, joint_solve, fit_layout, uncertainty, cross-validation,
+/// verdict.
+///
+/// Centres' covariance is that after rigid alignment: C = s^2 P C_ref P, with P the projection off the six
+/// rigid motions of the determined centres and s the corner noise estimated from the residuals; turned into
+/// the rig's frame. Cross-validation: every set (at most most_folds, evenly spread) is left out, the rest
+/// solved again, the left out board fitted by its pose alone; rms over all their x and y residuals; none if
+/// no set can be left out. Throws Error as seed_solve does.
+Calibration calibrate(Observations observations, const Recording& recording,
+                      const CalibrationOptions& options = {}, const Reporter& reporter = {});
+
+/// Covariance after rigid alignment of the centres on their true places: takes the six directions of rigid
+/// motion out of both sides of `covariance` (3 n x 3 n).
+Eigen::MatrixXd rigidly_aligned(const Eigen::MatrixXd& covariance,
+                                const std::vector<Eigen::Vector3d>& centres);
+
+}  // namespace stuv

@@ -1,0 +1,40 @@
+#pragma once
+
+#include <Eigen/Dense>
+#include <vector>
+
+#include "core/pose.h"
+
+namespace stuv {
+
+/// A camera as the lattice fit sees it.
+struct PlacedCamera {
+  Pose cam_from_ref;
+  int row = 0, col = 0;    ///< as recorded: who neighbours whom
+  bool determined = true;  ///< others are placed on the result but have no part in it
+};
+
+/// The camera plane with its lattice (core/rig.h states the frame).
+struct Layout {
+  bool converged = false;
+  Pose rig_from_ref;
+  int rows = 0, cols = 0;
+  std::vector<int> row, col;  ///< of each camera: col grows with s, row with t
+  Eigen::Vector2d origin_m = Eigen::Vector2d::Zero();
+  Eigen::Vector2d s_step_m = Eigen::Vector2d::Zero(), t_step_m = Eigen::Vector2d::Zero();
+  std::vector<Eigen::Vector3d> off_lattice_m;  ///< of each camera, in the rig's frame
+  double rms_off_plane_m = 0;                  ///< over the determined cameras
+};
+
+/// Fits plane and lattice to the cameras' centres c_i.
+///
+///   minimise sum_i rho(|R (c_i - mean c) - (o + col_i s + row_i t, 0)|^2),   s = (s_x, 0), o, t in the plane
+///
+/// R: rig_from_ref, rho: Huber's, at a tenth of the spacing, so a camera that was pushed does not turn the
+/// lattice. By Ceres, from an affine fit. A single row leaves a turn about itself free: there the mean of the
+/// cameras' directions has no t component (a single column: no s component). z points where the cameras look,
+/// s to their right: rows and columns recorded against that are counted from the other end. One camera gives
+/// its own frame. Not converged if no camera is determined.
+Layout fit_layout(const std::vector<PlacedCamera>& cameras, int rows, int cols);
+
+}  // namespace stuv

@@ -1,0 +1,209 @@
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <iterator>
+
+#include "calib/solve/report.h"
+
+namespace stuv {
+namespace {
+
+std::string escaped(const std::string& text) {
+  std::string out;
+  for (const char c : text) {
+    if (c == '<')
+      out += "&lt;";
+    else if (c == '&')
+      out += "&amp;";
+    else
+      out += c;
+  }
+  return out;
+}
+
+/// Collects one page's text.
+struct Page {
+  std::string text;
+  template <class... Args>
+  void add(fmt::format_string<Args...> format, Args&&... args) {
+    fmt::format_to(std::back_inserter(text), format, std::forward<Args>(args)...);
+  }
+};
+
+void add_verdict(Page& page, const Calibration& c) {
+  page.add("<p class='verdict {}'>{}</p>\n", c.good ? "good" : "bad",
+           c.good ? "Good: this calibration can be used." : "Not good:");
+  if (!c.reasons.empty()) page.add("<ul>");
+  for (const std::string& reason : c.reasons) page.add("<li>{}</li>", escaped(reason));
+  if (!c.reasons.empty()) page.add("</ul>\n");
+  const JointSolution& s = c.solution;
+  page.add(
+      "<p>rms {:.3f} px over {} corners in {} views of the board; {} outliers ({:.1f} %); worst inlier "
+      "{:.2f} px.",
+      s.rms_px, s.inliers, c.observations.boards.size(), s.outliers,
+      100.0 * s.outliers / std::max(1, s.inliers + s.outliers), s.worst_px);
+  if (c.cross_validation_px)
+    page.add(" Boards that were left out are predicted to {:.3f} px rms.", *c.cross_validation_px);
+  page.add(" The board bends by {:.2f} and {:.2f} mm.</p>\n", 1e3 * s.warp_m.x(), 1e3 * s.warp_m.y());
+}
+
+/// Lattice points as crosses, cameras as dots, remainders as lines drawn longer than they are.
+void add_layout(Page& page, const Calibration& c) {
+  const Rig& rig = c.rig;
+  Eigen::AlignedBox2d box;
+  double worst = 1e-12;
+  for (const RigCamera& rc : rig.cameras) {
+    box.extend(Eigen::Vector2d(rig.lattice_origin_m + rc.col * rig.s_step_m + rc.row * rig.t_step_m));
+    if (rc.determined) worst = std::max(worst, rc.off_lattice_m.head<2>().norm());
+  }
+  const double spacing = std::max({1e-6, rig.s_step_m.norm(), rig.t_step_m.norm()});
+  const double exaggerate = std::max(1.0, std::floor(0.35 * spacing / worst));
+  const double width = 900, margin = 50;
+  const double scale = (width - 2 * margin) / std::max(box.sizes().x(), std::max(spacing, box.sizes().y()));
+  const double height = 2 * margin + scale * box.sizes().y();
+  page.add(
+      "<h2>Layout</h2><p>{} x {} lattice, spacing {:.2f} x {:.2f} mm (s x t), {:.2f} mm rms off the plane. "
+      "Crosses: lattice. Dots: cameras as they look at the scene, remainders drawn {:.0f} times too long; "
+      "colour: off the plane, red towards the scene, blue away. Hollow: not determined.</p>\n",
+      rig.rows, rig.cols, 1e3 * rig.s_step_m.norm(), 1e3 * rig.t_step_m.norm(), 1e3 * rig.rms_off_plane_m,
+      exaggerate);
+  page.add("<svg viewBox='0 0 {:.0f} {:.0f}' width='{:.0f}'>\n", width, height, width);
+  const double off = std::max(1e-12, 2 * rig.rms_off_plane_m);
+  for (const RigCamera& rc : rig.cameras) {
+    const Eigen::Vector2d lattice = rig.lattice_origin_m + rc.col * rig.s_step_m + rc.row * rig.t_step_m;
+    const Eigen::Vector2d p = scale * (lattice - box.min()) + Eigen::Vector2d(margin, margin);
+    page.add("<path d='M{:.1f} {:.1f}h8m-4 -4v8' stroke='#999' fill='none'/>", p.x() - 4, p.y());
+    const Eigen::Vector2d q =
+        rc.determined ? Eigen::Vector2d(p + scale * exaggerate * rc.off_lattice_m.head<2>()) : p;
+    const double w = std::clamp(rc.off_lattice_m.z() / off, -1.0, 1.0);
+    const auto fade = [&](double v) { return static_cast<int>(200 * (1 - std::max(0.0, v))); };
+    page.add("<path d='M{:.1f} {:.1f}L{:.1f} {:.1f}' stroke='#333'/>", p.x(), p.y(), q.x(), q.y());
+    page.add("<circle cx='{:.1f}' cy='{:.1f}' r='5' stroke='#333' fill='{}'/>", q.x(), q.y(),
+             rc.determined ? fmt::format("rgb({},{},{})", fade(-w), fade(std::abs(w)), fade(w)) : "none");
+    page.add("<text x='{:.1f}' y='{:.1f}'>{}</text>\n", p.x(), p.y() + 28, escaped(rc.camera.name));
+  }
+  page.add("</svg>\n");
+}
+
+/// Histogram of x and y residuals with the Gaussian of the same deviation.
+void add_histogram(Page& page, const Calibration& c) {
+  constexpr int bins = 61;
+  const double range = std::max(1e-9, 5 * c.solution.rms_px);
+  std::array<double, bins> count = {};
+  double total = 0;
+  for (const auto& board : c.solution.residuals_px)
+    for (const Eigen::Vector2d& r : board)
+      for (const double v : {r.x(), r.y()})
+        if (std::isfinite(v) && std::abs(v) < range) {
+          count[static_cast<std::size_t>((v + range) / (2 * range) * bins)] += 1;
+          ++total;
+        }
+  if (total == 0) return;
+  const double bin = 2 * range / bins;
+  const double peak_gauss = total * bin / (c.solution.rms_px * std::sqrt(2 * M_PI));
+  const double top = std::max(peak_gauss, *std::max_element(count.begin(), count.end()));
+  page.add(
+      "<h2>Residuals</h2><p>Histogram over x and y, -{0:.2f} to {0:.2f} px; line: the Gaussian of their "
+      "deviation.</p><svg viewBox='0 0 610 200' width='610'>\n",
+      range);
+  for (int i = 0; i < bins; ++i)
+    page.add("<rect x='{}' y='{:.1f}' width='9' height='{:.1f}' fill='#69a'/>", 10 * i,
+             195 - 190 * count[i] / top, 190 * count[i] / top);
+  page.add("<polyline fill='none' stroke='#c30' points='");
+  for (int i = 0; i < bins; ++i) {
+    const double z = (-range + (i + 0.5) * bin) / c.solution.rms_px;
+    page.add("{:.1f},{:.1f} ", 10 * i + 4.5, 195 - 190 * peak_gauss * std::exp(-0.5 * z * z) / top);
+  }
+  page.add("'/></svg>\n");
+}
+
+/// Mean residual in cells of the picture as arrows; where no cell is drawn, no corner was seen.
+void add_field(Page& page, const Calibration& c, int camera) {
+  constexpr int nx = 16;
+  const Eigen::Vector2d size = c.observations.size_px[camera].cast<double>();
+  const int ny = std::max(1, static_cast<int>(std::lround(nx * size.y() / size.x())));
+  std::vector<Eigen::Vector3d> cell(static_cast<std::size_t>(nx * ny), Eigen::Vector3d::Zero());
+  for (std::size_t i = 0; i < c.observations.boards.size(); ++i) {
+    if (c.observations.boards[i].camera != camera) continue;
+    for (std::size_t k = 0; k < c.solution.residuals_px[i].size(); ++k) {
+      const Eigen::Vector2d& r = c.solution.residuals_px[i][k];
+      if (!r.allFinite()) continue;
+      const Eigen::Vector2d q = c.observations.boards[i].corners_px[k].cwiseQuotient(size);
+      const int x = std::clamp(static_cast<int>(q.x() * nx), 0, nx - 1);
+      const int y = std::clamp(static_cast<int>(q.y() * ny), 0, ny - 1);
+      cell[static_cast<std::size_t>(y * nx + x)] += Eigen::Vector3d(r.x(), r.y(), 1);
+    }
+  }
+  constexpr double step = 14;
+  const double per_px = step / std::max(1e-9, 2 * c.solution.rms_px);
+  page.add(
+      "<figure><svg viewBox='0 0 {0:.0f} {1:.0f}' width='{0:.0f}'><rect width='100%' height='100%' "
+      "fill='#f4f4f4'/>",
+      nx * step, ny * step);
+  for (int y = 0; y < ny; ++y)
+    for (int x = 0; x < nx; ++x) {
+      const Eigen::Vector3d& s = cell[static_cast<std::size_t>(y * nx + x)];
+      if (s.z() == 0) continue;
+      const Eigen::Vector2d from((x + 0.5) * step, (y + 0.5) * step);
+      Eigen::Vector2d arrow = per_px * s.head<2>() / s.z();
+      if (arrow.norm() > step) arrow *= step / arrow.norm();
+      page.add("<rect x='{:.0f}' y='{:.0f}' width='{}' height='{}' fill='#cde'/>", x * step, y * step, step,
+               step);
+      page.add("<path d='M{:.1f} {:.1f}l{:.1f} {:.1f}' stroke='#c30' stroke-width='1.5'/>", from.x(),
+               from.y(), arrow.x(), arrow.y());
+    }
+  page.add("</svg><figcaption>{} · {:.3f} px · {:.0f} %</figcaption></figure>\n",
+           escaped(c.observations.camera_names[camera]), c.cameras[camera].rms_px,
+           100 * c.cameras[camera].coverage);
+}
+
+void add_table(Page& page, const Calibration& c) {
+  page.add(
+      "<h2>Cameras</h2><table><tr><th>name<th>row<th>col<th>f [px]<th>&sigma;<th>centre [px]<th>s, t, w [mm]"
+      "<th>&sigma; [mm]<th>boards<th>outliers<th>rms [px]</tr>\n");
+  for (std::size_t i = 0; i < c.rig.cameras.size(); ++i) {
+    const RigCamera& rc = c.rig.cameras[i];
+    const CameraSummary& s = c.cameras[i];
+    const Eigen::Vector3d p = 1e3 * rc.camera.cam_from_rig.centre(), e = 1e3 * rc.position_sigma_m;
+    page.add("<tr{}><td>{}<td>{}<td>{}", rc.determined ? "" : " class='bad'", escaped(rc.camera.name), rc.row,
+             rc.col);
+    page.add("<td>{:.1f} {:.1f}<td>{:.2f}<td>{:.1f} {:.1f}", rc.camera.intrinsics[0], rc.camera.intrinsics[1],
+             s.focal_sigma_px.maxCoeff(), rc.camera.intrinsics[2], rc.camera.intrinsics[3]);
+    page.add("<td>{:.2f} {:.2f} {:.2f}", p.x(), p.y(), p.z());
+    if (rc.determined)
+      page.add("<td>{:.2f} {:.2f} {:.2f}", e.x(), e.y(), e.z());
+    else
+      page.add("<td>not determined");
+    page.add("<td>{}<td>{}<td>{:.3f}</tr>\n", s.boards, s.outliers, s.rms_px);
+  }
+  page.add("</table>\n");
+}
+
+}  // namespace
+
+std::string report_page(const Calibration& c) {
+  Page page;
+  page.text =
+      "<!doctype html><html lang='en'><meta charset='utf-8'><title>Calibration report</title><style>"
+      "body{font:15px sans-serif;margin:2em;max-width:1000px}svg{max-width:100%}text{font-size:11px;"
+      "text-anchor:middle}.verdict{font-size:1.4em;padding:.5em}.good{background:#dfd}.bad{background:#fdd}"
+      "td,th{padding:2px 8px;text-align:right;border-bottom:1px solid #ddd}table{border-collapse:collapse}"
+      "figure{display:inline-block;margin:4px}figcaption{font-size:12px;text-align:center}</style>"
+      "<h1>Calibration report</h1>\n";
+  add_verdict(page, c);
+  add_layout(page, c);
+  add_histogram(page, c);
+  page.add(
+      "<p>By camera: mean residual (observed minus predicted) in the cells of its picture, one cell is "
+      "{:.2f} px "
+      "long; blue: where boards were seen. Below: rms and the part of the picture that the corners "
+      "span.</p>\n",
+      2 * c.solution.rms_px);
+  for (std::size_t i = 0; i < c.cameras.size(); ++i) add_field(page, c, static_cast<int>(i));
+  add_table(page, c);
+  return page.text + "</html>\n";
+}
+
+}  // namespace stuv

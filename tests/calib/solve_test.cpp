@@ -1,0 +1,221 @@
+#include <cmath>
+#include <random>
+
+#include "calib/solve/calibrate.h"
+#include "core/error.h"
+#include "tests/support/support.h"
+
+using namespace stuv;
+using Catch::Contains;
+
+namespace {
+
+struct Scene {
+  Recording recording;
+  Observations observations;
+  std::vector<Camera> truth;
+};
+
+/// rows x cols cameras 0.1 m apart with jitter in place, direction and lens, and tilted boards before them.
+Scene make_scene(int rows, int cols, int sets, const std::vector<std::string>& missing = {},
+                 double noise_px = 0, unsigned seed = 1, double distance_m = 1.2) {
+  std::mt19937_64 random(seed);
+  const auto draw = [&] {
+    // Sum of 12 uniforms: the same on every standard library.
+    double sum = -6;
+    for (int i = 0; i < 12; ++i) sum += static_cast<double>(random() >> 11) * 0x1p-53;
+    return sum;
+  };
+  Scene scene;
+  scene.recording.rows = rows;
+  scene.recording.cols = cols;
+  for (int r = 0; r < rows; ++r)
+    for (int c = 0; c < cols; ++c) {
+      Camera camera;
+      camera.name = "r" + std::to_string(r) + "c" + std::to_string(c);
+      camera.lens_model = "LENSMODEL_OPENCV4";
+      const double f = 900 + 5 * draw();
+      camera.intrinsics = {f,
+                           f + draw(),
+                           399.5 + 3 * draw(),
+                           299.5 + 3 * draw(),
+                           -0.05 + 0.005 * draw(),
+                           0.02 + 0.003 * draw(),
+                           3e-4 * draw(),
+                           3e-4 * draw()};
+      camera.width = 800;
+      camera.height = 600;
+      const Eigen::Vector3d turn(0.01 * draw(), 0.01 * draw(), 0.01 * draw());
+      camera.cam_from_rig.R = rotation_from_vector(turn);
+      const Eigen::Vector3d centre(0.1 * (c - 0.5 * (cols - 1)) + 0.003 * draw(),
+                                   0.1 * (r - 0.5 * (rows - 1)) + 0.003 * draw(), 0.003 * draw());
+      camera.cam_from_rig.t = -(camera.cam_from_rig.R * centre);
+      if (std::find(missing.begin(), missing.end(), camera.name) != missing.end()) continue;
+      scene.truth.push_back(camera);
+      scene.recording.cameras.push_back({camera.name, r, c});
+      scene.observations.camera_names.push_back(camera.name);
+      scene.observations.size_px.emplace_back(800, 600);
+    }
+  scene.observations.board = parse_board("chessboard:10x7:40mm");
+  const std::vector<Eigen::Vector3d> model = board_points(scene.observations.board);
+  const Eigen::Vector3d middle(0.18, 0.12, 0);
+  for (int s = 0; s < sets; ++s) {
+    scene.observations.set_names.push_back(std::to_string(s));
+    Pose pose;
+    pose.R = rotation_from_vector({0.5 * std::cos(2.4 * s), 0.5 * std::sin(2.4 * s), 0.1 * draw()});
+    pose.t = Eigen::Vector3d(0.15 * std::cos(1.7 * s), 0.1 * std::sin(1.7 * s), distance_m + 0.05 * (s % 4)) -
+             pose.R * middle;
+    for (std::size_t c = 0; c < scene.truth.size(); ++c) {
+      std::vector<Eigen::Vector3d> points;
+      for (const Eigen::Vector3d& p : model) points.push_back(scene.truth[c].cam_from_rig * (pose * p));
+      BoardObservation b{static_cast<int>(c), s, project(scene.truth[c], points), {}};
+      for (Eigen::Vector2d& q : b.corners_px) q += noise_px * Eigen::Vector2d(draw(), draw());
+      scene.observations.boards.push_back(std::move(b));
+    }
+  }
+  return scene;
+}
+
+/// Estimated minus true centres after rigid alignment, in the frame of the estimate.
+std::vector<Eigen::Vector3d> aligned_errors(const Rig& rig, const std::vector<Camera>& truth) {
+  const auto n = static_cast<Eigen::Index>(truth.size());
+  Eigen::Matrix3Xd a(3, n), b(3, n);
+  for (Eigen::Index i = 0; i < n; ++i) {
+    a.col(i) = truth[i].cam_from_rig.centre();
+    b.col(i) = rig.cameras[i].camera.cam_from_rig.centre();
+  }
+  const Eigen::Matrix4d T = Eigen::umeyama(a, b, false);
+  std::vector<Eigen::Vector3d> errors;
+  for (Eigen::Index i = 0; i < n; ++i)
+    errors.push_back(b.col(i) - T.topLeftCorner<3, 3>() * a.col(i) - T.topRightCorner<3, 1>());
+  return errors;
+}
+
+CalibrationOptions exact_options() {
+  CalibrationOptions options;
+  options.solve.regularise = false;
+  options.most_folds = 0;
+  return options;
+}
+
+void check_exact(const Scene& scene) {
+  const Calibration c = calibrate(scene.observations, scene.recording, exact_options());
+  CHECK(c.solution.converged);
+  CHECK(c.good);
+  CHECK(c.solution.outliers == 0);
+  for (const Eigen::Vector3d& e : aligned_errors(c.rig, scene.truth)) CHECK(e.norm() < 1e-6 * 0.1);
+  for (std::size_t i = 0; i < scene.truth.size(); ++i) {
+    CHECK(c.rig.cameras[i].determined);
+    CHECK(c.rig.cameras[i].camera.intrinsics[0] == Approx(scene.truth[i].intrinsics[0]).epsilon(1e-6));
+    CHECK(c.rig.cameras[i].row == scene.recording.cameras[i].row);
+    CHECK(c.rig.cameras[i].col == scene.recording.cameras[i].col);
+  }
+}
+
+}  // namespace
+
+TEST_CASE("exact corners give the rig exactly: full grid") { check_exact(make_scene(5, 5, 8)); }
+TEST_CASE("exact corners give the rig exactly: missing cameras") {
+  check_exact(make_scene(3, 3, 8, {"r0c0", "r1c1", "r2c1"}));
+}
+TEST_CASE("exact corners give the rig exactly: a row and a column") {
+  check_exact(make_scene(1, 7, 8));
+  check_exact(make_scene(6, 1, 8));
+}
+
+TEST_CASE("a grid recorded from its other end is counted by geometry") {
+  Scene scene = make_scene(2, 4, 8);
+  for (RecordedCamera& camera : scene.recording.cameras) camera.col = 3 - camera.col;
+  const Calibration c = calibrate(scene.observations, scene.recording, exact_options());
+  for (std::size_t i = 0; i < scene.truth.size(); ++i)
+    CHECK(c.rig.cameras[i].col == 3 - scene.recording.cameras[i].col);
+  CHECK(c.rig.s_step_m.x() == Approx(0.1).margin(0.005));
+}
+
+TEST_CASE("corners in the other order of an ambiguous board are brought into one") {
+  Scene scene = make_scene(2, 3, 8);
+  // Leave out the last column of corners: 9x7 looks the same turned by 180 degrees.
+  scene.observations.board = parse_board("chessboard:9x7:40mm");
+  int i = 0;
+  for (BoardObservation& b : scene.observations.boards) {
+    std::vector<Eigen::Vector2d> corners;
+    for (int k = 0; k < 70; ++k)
+      if (k % 10 < 9) corners.push_back(b.corners_px[k]);
+    if (++i % 3 == 0) std::reverse(corners.begin(), corners.end());
+    b.corners_px = corners;
+  }
+  check_exact(scene);
+}
+
+TEST_CASE("sigmas are those of the errors that noisy corners make") {
+  double sum_sq = 0;
+  int count = 0, within = 0;
+  for (unsigned seed = 1; seed <= 3; ++seed) {
+    const Scene scene = make_scene(5, 5, 8, {}, 0.3, seed);
+    CalibrationOptions options;
+    options.most_folds = 0;
+    const Calibration c = calibrate(scene.observations, scene.recording, options);
+    CHECK(c.solution.noise_px == Approx(0.3).epsilon(0.05));
+    const auto errors = aligned_errors(c.rig, scene.truth);
+    for (std::size_t i = 0; i < errors.size(); ++i) {
+      const Eigen::Vector3d z = errors[i].cwiseQuotient(c.rig.cameras[i].position_sigma_m);
+      sum_sq += z.squaredNorm();
+      within += static_cast<int>((z.array().abs() < 3).count());
+      count += 3;
+    }
+  }
+  CHECK(within >= 0.99 * count);
+  CHECK(std::sqrt(sum_sq / count) > 0.8);
+  CHECK(std::sqrt(sum_sq / count) < 1.25);
+}
+
+TEST_CASE("boards that are tiny and far away do not determine the cameras") {
+  const Scene scene = make_scene(2, 2, 2, {}, 0.3, 1, 40);
+  const Calibration c = calibrate(scene.observations, scene.recording, {});
+  CHECK_FALSE(c.good);
+  for (const RigCamera& camera : c.rig.cameras) CHECK_FALSE(camera.determined);
+}
+
+TEST_CASE("outliers are found and do no harm") {
+  Scene scene = make_scene(3, 3, 8, {}, 0.05);
+  for (std::size_t i = 0; i < scene.observations.boards.size(); i += 6)
+    scene.observations.boards[i].corners_px[i % 70] += Eigen::Vector2d(4, -3);
+  const Calibration c = calibrate(scene.observations, scene.recording, {});
+  CHECK(c.solution.outliers >= 12);
+  CHECK(c.solution.outliers <= 16);
+  for (std::size_t i = 0; i < scene.observations.boards.size(); i += 6) CHECK(c.solution.outlier[i][i % 70]);
+  CHECK(c.solution.rms_px == Approx(0.05).epsilon(0.1));
+  REQUIRE(c.cross_validation_px);
+  CHECK(*c.cross_validation_px < 0.1);
+}
+
+TEST_CASE("a corner that is not finite takes no part; a board without corners is an error") {
+  Scene scene = make_scene(2, 2, 6);
+  scene.observations.boards[0].corners_px[5].x() = std::nan("");
+  scene.observations.boards[3].corners_px[7].y() = INFINITY;
+  check_exact(scene);
+  for (Eigen::Vector2d& q : scene.observations.boards[0].corners_px) q.x() = std::nan("");
+  CHECK_THROWS_WITH(calibrate(scene.observations, scene.recording),
+                    Contains("r0c0") && Contains("finite corners"));
+}
+
+TEST_CASE("cameras that cannot be solved together are named") {
+  Scene scene = make_scene(1, 4, 6);
+  Scene blind = scene;
+  std::erase_if(blind.observations.boards, [](const auto& b) { return b.camera == 2; });
+  CHECK_THROWS_WITH(calibrate(blind.observations, blind.recording),
+                    Contains("r0c2") && Contains("never sees"));
+  // Cameras 0, 1 see the first sets, cameras 2, 3 the others.
+  std::erase_if(scene.observations.boards, [](const auto& b) { return (b.camera < 2) != (b.set < 3); });
+  CHECK_THROWS_WITH(calibrate(scene.observations, scene.recording),
+                    Contains("r0c0, r0c1") && Contains("no board in common with r0c2, r0c3"));
+}
+
+TEST_CASE("boards are read and refused") {
+  CHECK(parse_board("chessboard:28x17:2cm").square_m == Approx(0.02));
+  CHECK(board_spec(parse_board("chessboard:28x17:0.02m")) == "chessboard:28x17:20mm");
+  for (const char* bad :
+       {"", "circles:3x4:1mm", "chessboard:28x17", "chessboard:28x17:20", "chessboard:2x9:1mm",
+        "chessboard:7x7:1mm", "chessboard:9x6:-1mm", "chessboard:9x6:nanmm"})
+    CHECK_THROWS_AS(parse_board(bad), Error);
+}
