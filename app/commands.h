@@ -12,5 +12,6 @@ using Action = std::function<int()>;
 // sets `action`.
 void add_import_command(CLI::App& app, Action& action);
 void add_rectify_command(CLI::App& app, Action& action);
+void add_render_command(CLI::App& app, Action& action);
 
 }  // namespace stuv
