@@ -11,6 +11,7 @@
 #include "core/files.h"
 #include "core/image_io.h"
 #include "render/all_in_focus.h"
+#include "render/gl/gl_renderer.h"
 
 namespace stuv {
 namespace {
@@ -179,8 +180,6 @@ void write_outputs(const Outputs& files, const LightField& lf, const RenderedVie
 void check_usage(const Flags& flags) {
   if (flags.method != "literal")
     throw UsageError(fmt::format("--method {}: there is only literal as yet", flags.method));
-  if (flags.backend != "cpu")
-    throw UsageError(fmt::format("--backend {}: there is only cpu as yet", flags.backend));
   if (!flags.at.empty() && !flags.path.empty()) throw UsageError("--at and --path exclude each other");
   if (flags.focus_m && flags.focus_px) throw UsageError("--focus and --focus-px exclude each other");
   if (!flags.disparity.empty() && !flags.depth_m.empty())
@@ -228,7 +227,8 @@ int run(const Flags& flags) {
     focus = focus_of(flags, lf);
   for (std::size_t i = 0; i < viewpoints.size(); ++i) check_outputs(outputs_of(flags, i), flags.force);
 
-  const auto renderer = make_cpu_renderer(load_views(reader, flags.leave_out));
+  const auto renderer = flags.backend == "gl" ? make_gl_renderer(load_views(reader, flags.leave_out))
+                                              : make_cpu_renderer(load_views(reader, flags.leave_out));
   const Reporter reporter = console_reporter();
   Json views = Json::array();
   for (std::size_t i = 0; i < viewpoints.size(); ++i) {
@@ -287,7 +287,7 @@ void add_render_command(CLI::App& app, Action& action) {
   command->add_option("--depth-m", flags->depth_m, "Range to search [m]")->type_name("NEAR,FAR");
   command->add_option("--leave-out", flags->leave_out, "A camera not to use; may be repeated")
       ->type_name("NAME");
-  command->add_option("--backend", flags->backend, "cpu [cpu]");
+  command->add_option("--backend", flags->backend, "cpu or gl [cpu]")->check(CLI::IsMember({"cpu", "gl"}));
   command->add_option("--depth-out", flags->depth_out, "Depth [m]; disparity of a scene without metres")
       ->type_name("FILE.pfm");
   command->add_option("--index-out", flags->index_out, "Number of the plane; .pfm or 16-bit picture")
