@@ -19,6 +19,7 @@ int main(int argc, char** argv) {
   add_calibrate_command(app, action);
   add_import_command(app, action);
   add_rectify_command(app, action);
+  add_render_command(app, action);
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& e) {

@@ -1,0 +1,110 @@
+#include "render/view_set.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <stdexcept>
+
+#include "core/error.h"
+#include "core/parallel.h"
+
+namespace stuv {
+namespace {
+
+/// Masks pixels that hold NaN or Inf, so that back ends need to know masks only.
+void mask_non_finite(ViewPixels& view) {
+  const int channels = view.colour.channels;
+  for (int y = 0; y < view.colour.height; ++y) {
+    for (int x = 0; x < view.colour.width; ++x) {
+      float* pixel = &view.colour.at(x, y);
+      if (std::all_of(pixel, pixel + channels, [](float v) { return std::isfinite(v); })) continue;
+      if (view.mask.empty()) view.mask = Mask(view.colour.width, view.colour.height, 1, 255);
+      view.mask.at(x, y) = 0;
+      std::fill_n(pixel, channels, 0.0F);
+    }
+  }
+}
+
+}  // namespace
+
+std::shared_ptr<const ViewSet> load_views(const LightFieldReader& reader,
+                                          const std::vector<std::string>& leave_out) {
+  auto set = std::make_shared<ViewSet>();
+  set->lf = reader.light_field();
+  for (const std::string& name : leave_out) {
+    const int index = set->lf.view_index(name);
+    if (index < 0 || set->lf.views[static_cast<std::size_t>(index)].role != ViewRole::input)
+      throw Error(set->lf.folder.string(), "has no input view " + name, "see the names in lightfield.json");
+  }
+  std::vector<int> indices;
+  for (const int i : set->lf.views_with(ViewRole::input)) {
+    const View& view = set->lf.views[static_cast<std::size_t>(i)];
+    if (std::find(leave_out.begin(), leave_out.end(), view.name) != leave_out.end()) continue;
+    indices.push_back(i);
+    set->cameras.push_back(view);
+  }
+  if (indices.empty()) throw Error(set->lf.folder.string(), "has no view left", "leave fewer views out");
+  set->pixels.resize(indices.size());
+  parallel_for(static_cast<int>(indices.size()), [&](int i) {
+    ViewPixels pixels = reader.read(indices[static_cast<std::size_t>(i)]);
+    mask_non_finite(pixels);
+    set->pixels[static_cast<std::size_t>(i)] = std::move(pixels);
+  });
+  return set;
+}
+
+Viewpoint default_viewpoint(const LightField& lf, double s, double t, double z) {
+  Viewpoint view;
+  view.s = s;
+  view.t = t;
+  view.z = z;
+  view.focal_px = lf.focal_px;
+  view.cx_px = lf.cx0_px + lf.convergence_px * s;
+  view.cy_px = lf.cy0_px + lf.convergence_px * t;
+  view.width = lf.width;
+  view.height = lf.height;
+  return view;
+}
+
+Viewpoint middle_viewpoint(const LightField& lf) {
+  constexpr double inf = std::numeric_limits<double>::infinity();
+  double s_min = inf, s_max = -inf, t_min = inf, t_max = -inf;
+  for (const int i : lf.views_with(ViewRole::input)) {
+    const View& view = lf.views[static_cast<std::size_t>(i)];
+    s_min = std::min(s_min, view.s);
+    s_max = std::max(s_max, view.s);
+    t_min = std::min(t_min, view.t);
+    t_max = std::max(t_max, view.t);
+  }
+  return default_viewpoint(lf, (s_min + s_max) / 2, (t_min + t_max) / 2);
+}
+
+Viewpoint resized(const Viewpoint& view, int width, int height) {
+  const double scale = static_cast<double>(width) / view.width;
+  Viewpoint out = view;
+  out.width = width;
+  out.height = height;
+  out.focal_px = view.focal_px * scale;
+  // Pixel 0 is a centre, so edges lie at -0.5.
+  out.cx_px = (view.cx_px + 0.5) * scale - 0.5;
+  out.cy_px = (view.cy_px + 0.5) * scale - 0.5 + (height - view.height * scale) / 2;
+  return out;
+}
+
+bool is_parallel(const Viewpoint& view) { return view.view_from_scene == Eigen::Matrix3d::Identity(); }
+
+void validate(const Viewpoint& view, const LightField& lf) {
+  if (view.width <= 0 || view.height <= 0)
+    throw std::invalid_argument("Viewpoint: width and height must be > 0");
+  if (!std::isfinite(view.focal_px) || view.focal_px <= 0)
+    throw std::invalid_argument("Viewpoint: focal_px must be > 0");
+  for (const double value : {view.s, view.t, view.z, view.cx_px, view.cy_px})
+    if (!std::isfinite(value)) throw std::invalid_argument("Viewpoint: s, t, z, cx_px, cy_px must be finite");
+  if (!view.view_from_scene.allFinite())
+    throw std::invalid_argument("Viewpoint: view_from_scene must be finite");
+  if (!lf.metric && (view.z != 0 || !is_parallel(view)))
+    throw std::invalid_argument(
+        "Viewpoint: a scene without metres has parallel views on its plane only (z = 0)");
+}
+
+}  // namespace stuv

@@ -1,0 +1,43 @@
+#pragma once
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "core/light_field.h"
+#include "core/view.h"
+
+namespace stuv {
+
+/// The input views that a renderer blends, with their pixels in memory.
+struct ViewSet {
+  LightField lf;
+  std::vector<View> cameras;       ///< input views, without those that were left out
+  std::vector<ViewPixels> pixels;  ///< beside `cameras`; a non-finite pixel is masked, its colour 0
+};
+
+/// Reads all input views but those named in `leave_out`, which become holes of the lattice.
+/// Throws Error if a name is no input view, none is left, or a picture cannot be read.
+std::shared_ptr<const ViewSet> load_views(const LightFieldReader& reader,
+                                          const std::vector<std::string>& leave_out = {});
+
+/// The viewpoint at (s, t, z) that looks as the views do, with their size, focal length and the principal
+/// point that a view at (s, t) has: a parallel view on the plane then sees u = u_out - d (s_c - s).
+Viewpoint default_viewpoint(const LightField& lf, double s, double t, double z = 0);
+
+/// The middle of the lattice: centre of the bounding box of the input views, on the plane.
+Viewpoint middle_viewpoint(const LightField& lf);
+
+/// The same view with another size: focal length scaled with the width, rows cropped or added evenly above
+/// and below.
+Viewpoint resized(const Viewpoint& view, int width, int height);
+
+/// The view's axes are those of the light field's frame.
+bool is_parallel(const Viewpoint& view);
+
+/// Throws std::invalid_argument naming the value unless sizes and focal length are positive, everything is
+/// finite, and, for a scene without metres, the view is parallel and on the plane (elsewhere its disparities
+/// do not say what is seen).
+void validate(const Viewpoint& view, const LightField& lf);
+
+}  // namespace stuv

@@ -1,0 +1,79 @@
+#include "render/lattice_chart.h"
+
+#include <map>
+
+#include "tests/render/scenes.h"
+#include "tests/support/support.h"
+
+using namespace stuv;
+using namespace stuv::test;
+
+namespace {
+
+std::map<std::string, double> weights_at(const ViewSet& set, Filter filter, double col, double row) {
+  std::vector<CameraWeight> weights;
+  LatticeFilter(set.lf.rows, set.lf.cols, set.cameras, filter).weights({col, row}, weights);
+  std::map<std::string, double> out;
+  for (const CameraWeight& w : weights) out[set.cameras[static_cast<std::size_t>(w.camera)].name] = w.weight;
+  return out;
+}
+
+}  // namespace
+
+TEST_CASE("The ray through a displaced camera's centre has that camera's place on the lattice") {
+  const auto set = make_views({.rows = 4, .cols = 5, .jitter = 0.2, .off_plane = 0.2});
+  const LatticeChart chart(4, 5, set->cameras);
+  for (const View& c : set->cameras) {
+    for (const double z : {0.0, 0.5, -2.0}) {
+      const double gx = 0.3, gy = -0.2;
+      const Eigen::Vector2d p = chart.position({c.s + (z - c.w) * gx, c.t + (z - c.w) * gy, z}, gx, gy);
+      CHECK(p.x() == Approx(c.col).margin(1e-6));
+      CHECK(p.y() == Approx(c.row).margin(1e-6));
+    }
+  }
+}
+
+TEST_CASE("Filters on a full row are the tents of figure 7") {
+  const auto set = make_views({.rows = 1, .cols = 7});
+  const auto normal = weights_at(*set, Filter::normal, 2.25, 0);
+  CHECK(normal.at("0_2") == Approx(0.75));
+  CHECK(normal.at("0_3") == Approx(0.25));
+  CHECK(normal.size() == 2);
+  const auto wide = weights_at(*set, Filter::wide, 2.5, 0);  // tents 0.25 0.75 0.75 0.25
+  CHECK(wide.at("0_1") == Approx(0.125));
+  CHECK(wide.at("0_2") == Approx(0.375));
+  CHECK(wide.at("0_4") == Approx(0.125));
+  const auto skipped = weights_at(*set, Filter::skipped, 2.5, 0);
+  CHECK(skipped.at("0_2") == Approx(0.75));
+  CHECK(skipped.at("0_4") == Approx(0.25));
+  CHECK(skipped.size() == 2);
+}
+
+TEST_CASE("Along a row a tent reaches to the next present camera") {
+  const auto set = make_views({.rows = 1, .cols = 6, .holes = {{0, 2}, {0, 3}}});
+  for (const double p : {1.3, 2.0, 2.9, 3.5}) {
+    const auto normal = weights_at(*set, Filter::normal, p, 0);
+    CHECK(normal.at("0_1") == Approx((4 - p) / 3));
+    CHECK(normal.at("0_4") == Approx((p - 1) / 3));
+  }
+  // Thinned to 0, (2), 4: the hole at 2 is bridged from 0 to 4.
+  const auto skipped = weights_at(*set, Filter::skipped, 1, 0);
+  CHECK(skipped.at("0_0") == Approx(0.75));
+  CHECK(skipped.at("0_4") == Approx(0.25));
+}
+
+TEST_CASE("Weights add up to 1 everywhere, holes and outside included") {
+  const auto set = make_views({.rows = 4, .cols = 5, .holes = {{0, 0}, {2, 2}, {2, 3}, {3, 4}, {0, 4}}});
+  for (const Filter filter : {Filter::normal, Filter::wide, Filter::skipped}) {
+    for (double row = -2; row < 6; row += 0.37) {
+      for (double col = -2; col < 7; col += 0.29) {
+        double sum = 0;
+        for (const auto& [name, weight] : weights_at(*set, filter, col, row)) {
+          CHECK(weight > 0);
+          sum += weight;
+        }
+        CHECK(sum == Approx(1));
+      }
+    }
+  }
+}
