@@ -65,8 +65,8 @@ double cos_of_field(const Camera& camera) {
     else
       leaves = std::max(leaves, angle);
   }
-  // The corners lie between two azimuths: allow half a degree more. A fold leaves no such room.
-  return std::cos(std::min(leaves + 0.01, turns));
+  // The corners lie between two azimuths: allow a degree more. A fold leaves no such room.
+  return std::cos(std::min(leaves + 0.02, turns));
 }
 
 bool masked_out(const Image& image, int x, int y) {
