@@ -15,5 +15,6 @@ void add_calibrate_command(CLI::App& app, Action& action);
 void add_import_command(CLI::App& app, Action& action);
 void add_rectify_command(CLI::App& app, Action& action);
 void add_render_command(CLI::App& app, Action& action);
+void add_bench_command(CLI::App& app, Action& action);
 
 }  // namespace stuv

@@ -20,6 +20,7 @@ int main(int argc, char** argv) {
   add_import_command(app, action);
   add_rectify_command(app, action);
   add_render_command(app, action);
+  add_bench_command(app, action);
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& e) {

@@ -1,0 +1,187 @@
+#include <fmt/format.h>
+#include <sys/resource.h>
+
+#include <algorithm>
+#include <cmath>
+#include <fstream>
+#include <thread>
+
+#include "app/commands.h"
+#include "app/console.h"
+#include "core/error.h"
+#include "core/files.h"
+#include "render/all_in_focus.h"
+#include "render/gl/gl_renderer.h"
+#include "render/metrics.h"
+
+namespace stuv {
+namespace {
+
+struct Flags : CommonFlags {
+  std::filesystem::path scene, output;
+  std::string methods = "literal", planes = "13", backends = "cpu", disparity;
+  int window = LiteralOptions{}.window, views = 0, border = 0;
+};
+
+/// The views to compare with: held-out truths within the inputs' bounding box, or, without any, the inputs in
+/// turn.
+std::vector<int> compared_views(const LightField& lf, int wanted) {
+  const std::vector<int> inputs = lf.views_with(ViewRole::input);
+  double s0 = INFINITY, s1 = -INFINITY, t0 = INFINITY, t1 = -INFINITY;
+  for (const int i : inputs) {
+    s0 = std::min(s0, lf.views[i].s);
+    s1 = std::max(s1, lf.views[i].s);
+    t0 = std::min(t0, lf.views[i].t);
+    t1 = std::max(t1, lf.views[i].t);
+  }
+  std::vector<int> all;
+  for (const int i : lf.views_with(ViewRole::truth)) {
+    const View& view = lf.views[i];
+    if (view.s >= s0 && view.s <= s1 && view.t >= t0 && view.t <= t1) all.push_back(i);
+  }
+  if (all.empty() && inputs.size() > 1) all = inputs;
+  if (all.empty())
+    throw Error(lf.folder.string(), "has no held-out view and only one input", "import it with truth rows");
+  const auto n = static_cast<int>(all.size());
+  if (wanted <= 0 || wanted >= n) return all;
+  std::vector<int> chosen;
+  for (int i = 0; i < wanted; ++i) chosen.push_back(all[static_cast<int>((i + 0.5) * n / wanted)]);
+  return chosen;
+}
+
+std::string machine() {
+  std::string cpu = "unknown processor";
+  std::ifstream in("/proc/cpuinfo");
+  for (std::string line; std::getline(in, line);)
+    if (line.rfind("model name", 0) == 0) {
+      cpu = line.substr(line.find(':') + 2);
+      break;
+    }
+  return fmt::format("{}, {} threads", cpu, std::thread::hardware_concurrency());
+}
+
+double quantile(std::vector<double> values, double q) {
+  std::sort(values.begin(), values.end());
+  return values[static_cast<std::size_t>(std::lround(q * static_cast<double>(values.size() - 1)))];
+}
+
+std::unique_ptr<FocalPlaneRenderer> renderer_of(const std::string& backend,
+                                                std::shared_ptr<const ViewSet> views) {
+  return backend == "gl" ? make_gl_renderer(std::move(views)) : make_cpu_renderer(std::move(views));
+}
+
+Json measure(const LightFieldReader& reader, const std::string& backend, const LiteralOptions& options,
+             const Flags& flags, const Reporter& reporter) {
+  const LightField& lf = reader.light_field();
+  const std::vector<int> compared = compared_views(lf, flags.views);
+  std::unique_ptr<FocalPlaneRenderer> renderer;
+  std::vector<double> ms;
+  double psnr = 0, similarity = 0, evaluated = 0;
+  for (const int i : compared) {
+    const View& truth = lf.views[i];
+    const bool leave_out = truth.role == ViewRole::input;
+    // Views that are held out anyway share one renderer: its views are then loaded once.
+    if (!renderer || leave_out)
+      renderer = renderer_of(
+          backend, load_views(reader, leave_out ? std::vector{truth.name} : std::vector<std::string>{}));
+    const RenderedView view =
+        all_in_focus(*renderer, default_viewpoint(lf, truth.s, truth.t, truth.w), options);
+    const ImageF expected = reader.read(i).colour;
+    ms.push_back(view.statistics.milliseconds);
+    psnr += psnr_db(view.colour, expected, flags.border);
+    similarity += ssim(view.colour, expected, flags.border);
+    evaluated += view.statistics.evaluated_fraction;
+    reporter.at(fmt::format("literal, {}, N = {}", backend, options.planes), ms.size(), compared.size());
+  }
+  const auto n = static_cast<double>(compared.size());
+  rusage usage{};
+  ::getrusage(RUSAGE_SELF, &usage);
+  return {{"method", "literal"},
+          {"backend", backend},
+          {"planes", options.planes},
+          {"window", options.window},
+          {"views", compared.size()},
+          {"ms_median", quantile(ms, 0.5)},
+          {"ms_p95", quantile(ms, 0.95)},
+          {"psnr_db", psnr / n},
+          {"ssim", similarity / n},
+          {"evaluated_fraction", evaluated / n},
+          {"peak_mb", static_cast<double>(usage.ru_maxrss) / 1024}};
+}
+
+std::vector<int> parse_planes(const std::string& text) {
+  std::vector<int> planes;
+  for (const std::string& part : parse_list("--planes", text)) {
+    const bool whole = part.size() < 6 && part.find_first_not_of("0123456789") == std::string::npos;
+    if (!whole || std::stoi(part) < 1)
+      throw UsageError(fmt::format("--planes wants whole numbers above 0, not '{}'", part));
+    planes.push_back(std::stoi(part));
+  }
+  return planes;
+}
+
+int run(const Flags& flags) {
+  for (const std::string& method : parse_list("--methods", flags.methods))
+    if (method != "literal")
+      throw UsageError(fmt::format("--methods: there is no '{}'; this version has: literal", method));
+  const std::vector<std::string> backends = parse_list("--backend", flags.backends);
+  for (const std::string& backend : backends)
+    if (backend != "cpu" && backend != "gl")
+      throw UsageError(fmt::format("--backend: there is no '{}'; cpu, gl", backend));
+  const std::vector<int> planes = parse_planes(flags.planes);
+  const LightFieldReader reader(open_light_field(flags.scene));
+  const LightField& lf = reader.light_field();
+  LiteralOptions options;
+  options.window = flags.window;
+  options.d_min = lf.d_min;
+  options.d_max = lf.d_max;
+  if (!flags.disparity.empty())
+    std::tie(options.d_min, options.d_max) = parse_pair("--disparity", flags.disparity);
+  if (!(options.d_min <= options.d_max))
+    throw Error(flags.scene.string(), "has no depth range", "give --disparity MIN,MAX");
+  check_output(flags.output, flags.force);
+  const Reporter reporter = console_reporter();
+  Json rows = Json::array();
+  fmt::print("{:<8} {:<4} {:>6} {:>6} {:>5} {:>10} {:>8} {:>7}\n", "method", "on", "planes", "window",
+             "views", "ms/view", "PSNR dB", "SSIM");
+  for (const std::string& backend : backends)
+    for (const int n : planes) {
+      options.planes = n;
+      const Json row = measure(reader, backend, options, flags, reporter);
+      fmt::print("{:<8} {:<4} {:>6} {:>6} {:>5} {:>10.1f} {:>8.2f} {:>7.4f}\n", "literal", backend, n,
+                 options.window, row["views"].get<int>(), row["ms_median"].get<double>(),
+                 row["psnr_db"].get<double>(), row["ssim"].get<double>());
+      rows.push_back(row);
+    }
+  const Json result = {{"scene", flags.scene.string()}, {"machine", machine()}, {"rows", rows}};
+  write_json(flags.output, result);
+  write_result(flags, result);
+  return kDone;
+}
+
+}  // namespace
+
+void add_bench_command(CLI::App& app, Action& action) {
+  auto flags = std::make_shared<Flags>();
+  CLI::App* command =
+      app.add_subcommand("bench",
+                         "Run time against error, on held-out views.\n\n"
+                         "  stuv bench knights_scene -o bench.json --planes 41 --window 3 --border 24\n");
+  command->add_option("scene", flags->scene, "The scene's folder")->required()->type_name("SCENE");
+  command->add_option("-o,--output", flags->output, "The table as JSON")->required()->type_name("FILE");
+  command->add_option("--methods", flags->methods, "Methods, separated by commas [literal]");
+  command->add_option("--planes", flags->planes, "Numbers of focal planes [13]");
+  command->add_option("--window", flags->window, "M: windows have (2M + 1)^2 pixels [7]")
+      ->check(CLI::NonNegativeNumber);
+  command->add_option("--backend", flags->backends, "cpu, gl or both [cpu]");
+  command->add_option("--views", flags->views, "Compare K of the held-out views, spread evenly [all]")
+      ->check(CLI::NonNegativeNumber);
+  command->add_option("--border", flags->border, "Pixels left out at every side [0]")
+      ->check(CLI::NonNegativeNumber);
+  command->add_option("--disparity", flags->disparity, "Range of the planes, px per unit of s [the scene's]")
+      ->type_name("MIN,MAX");
+  add_common_flags(*command, *flags);
+  command->callback([flags, &action] { action = [flags] { return run(*flags); }; });
+}
+
+}  // namespace stuv
