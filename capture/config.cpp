@@ -7,7 +7,7 @@
 
 #include "core/error.h"
 #include "core/files.h"
-#include "default_config.h"  // made of configs/synthetic-5x5.toml by CMake
+#include "capture/default_config.h"  // made of configs/synthetic-5x5.toml by CMake
 
 namespace stuv {
 namespace {
