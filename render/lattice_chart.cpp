@@ -126,7 +126,10 @@ Eigen::Vector2d LatticeChart::position(const Eigen::Vector3d& o, double gx, doub
   Eigen::Vector2d p = at(0);
   for (int i = 0; i < kIterations; ++i) {
     const Eigen::Vector3d node = node_at(p);
-    p = at(node.z()) - node.head<2>();
+    const Eigen::Vector2d next = at(node.z()) - node.head<2>();
+    const double moved = (next - p).norm();
+    p = next;
+    if (moved < 1e-14) break;
   }
   return {snapped(p.x()), snapped(p.y())};
 }

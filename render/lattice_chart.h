@@ -20,7 +20,7 @@ namespace stuv {
 /// nodes, which makes spacing local.
 class LatticeChart {
  public:
-  /// Iterations: cameras displaced by 20 % of the spacing contract by about 0.4 each, 1e-12 after 32.
+  /// Iterations at most: cameras displaced by 20 % of the spacing contract by about 0.4 each, 1e-12 after 32.
   static constexpr int kIterations = 32;
   /// p closer than this to whole numbers is snapped onto them.
   static constexpr double kSnap = 1e-9;
