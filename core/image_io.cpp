@@ -49,9 +49,25 @@ OIIO::TypeDesc to_oiio(PixelType type) {
   return OIIO::TypeFloat;
 }
 
+/// libjpeg fills what a truncated file lacks with grey and only warns, and libpng prints to stderr: so look
+/// for the end marker before either sees the file. (In a JPEG it must stand behind the last scan: a thumbnail
+/// has an end marker of its own.)
+bool lacks_end(const std::filesystem::path& file) {
+  std::array<char, 4> magic{};
+  std::ifstream(file, std::ios::binary).read(magic.data(), magic.size());
+  const std::string_view begin(magic.data(), magic.size());
+  const bool png = begin == "\x89PNG", jpeg = begin.substr(0, 3) == "\xFF\xD8\xFF";
+  if (!png && !jpeg) return false;
+  const std::string bytes = read_text(file);
+  if (png) return bytes.rfind("IEND") == std::string::npos;
+  const std::size_t scan = bytes.rfind("\xFF\xDA"), end = bytes.rfind("\xFF\xD9");
+  return scan == std::string::npos || end == std::string::npos || end < scan;
+}
+
 std::unique_ptr<OIIO::ImageInput> open_input(const std::filesystem::path& file) {
   std::error_code ec;
   if (!std::filesystem::exists(file, ec)) throw Error(file.string(), "does not exist", "check the path");
+  if (lacks_end(file)) throw Error(file.string(), "is truncated", "replace it");
   OIIO::ImageSpec config;
   config["oiio:UnassociatedAlpha"] = 1;  // a mask must not darken the colours
   auto input = OIIO::ImageInput::open(file.string(), &config);
@@ -96,21 +112,6 @@ std::vector<std::byte> with_alpha(const Image& image) {
   return out;
 }
 
-/// libjpeg fills what a truncated file lacks with grey and only warns, and libpng prints to stderr: so look
-/// for the end marker before either sees the file. (In a JPEG it must stand behind the last scan: a thumbnail
-/// has an end marker of its own.)
-bool lacks_end(const std::filesystem::path& file) {
-  std::array<char, 4> magic{};
-  std::ifstream(file, std::ios::binary).read(magic.data(), magic.size());
-  const std::string_view begin(magic.data(), magic.size());
-  const bool png = begin == "\x89PNG", jpeg = begin.substr(0, 3) == "\xFF\xD8\xFF";
-  if (!png && !jpeg) return false;
-  const std::string bytes = read_text(file);
-  if (png) return bytes.rfind("IEND") == std::string::npos;
-  const std::size_t scan = bytes.rfind("\xFF\xDA"), end = bytes.rfind("\xFF\xD9");
-  return scan == std::string::npos || end == std::string::npos || end < scan;
-}
-
 }  // namespace
 
 ImageInfo read_image_info(const std::filesystem::path& file) {
@@ -120,7 +121,6 @@ ImageInfo read_image_info(const std::filesystem::path& file) {
 }
 
 Image read_image(const std::filesystem::path& file) {
-  if (lacks_end(file)) throw Error(file.string(), "is truncated", "replace it");
   const auto input = open_input(file);
   const OIIO::ImageSpec& spec = input->spec();
   if (spec.width <= 0 || spec.height <= 0) throw Error(file.string(), "has no pixels", "replace it");

@@ -110,8 +110,9 @@ TEST_CASE("lens models that fold back bring no ghost of the picture") {
   for (int y = 0; y < 240; ++y)
     for (int x = 0; x < 320; ++x)
       for (const double part : {0.9, 0.7, 0.5, 0.25})
-        torn += warped.mask.at(x, y) != 0 && warped.mask.at(static_cast<int>(std::lround(159.5 + part * (x - 159.5))),
-                                                            static_cast<int>(std::lround(119.5 + part * (y - 119.5)))) == 0;
+        torn += warped.mask.at(x, y) != 0 &&
+                warped.mask.at(static_cast<int>(std::lround(159.5 + part * (x - 159.5))),
+                               static_cast<int>(std::lround(119.5 + part * (y - 119.5)))) == 0;
   CHECK(torn == 0);
 }
 
