@@ -42,11 +42,12 @@ Viewpoint parse_viewpoint(const LightField& lf, const std::string& flag, const s
   const std::vector<std::string> parts = parse_list(flag, text);
   if (parts.size() != 2 && parts.size() != 3)
     throw UsageError(fmt::format("{} wants S,T or S,T,Z, not '{}'", flag, text));
-  const double z = parts.size() == 3 ? parse_number(flag, parts[2]) : 0;
+  const double s = parse_number(flag, parts[0]), t = parse_number(flag, parts[1]);
+  const double z = parts.size() == 3 ? parse_number(flag, parts[2]) : camera_surface_z(lf, s, t);
   if (z != 0 && !lf.metric)
     throw UsageError(
         fmt::format("{}: Z needs metres, which this scene does not have; import it with --focal-px", flag));
-  return default_viewpoint(lf, parse_number(flag, parts[0]), parse_number(flag, parts[1]), z);
+  return default_viewpoint(lf, s, t, z);
 }
 
 std::vector<Viewpoint> read_path(const LightField& lf, const fs::path& file) {
@@ -265,7 +266,10 @@ void add_render_command(CLI::App& app, Action& action) {
                                          "--depth-out knights.pfm\n");
   command->add_option("scene", flags->scene, "The scene's folder")->required();
   command->add_option("-o,--output", flags->output, "The picture")->required()->type_name("FILE");
-  command->add_option("--at", flags->at, "Viewpoint, in the scene's unit [middle of the lattice]")
+  command
+      ->add_option(
+          "--at", flags->at,
+          "Viewpoint, in the scene's unit; without Z on the cameras' own surface [middle of the lattice]")
       ->type_name("S,T[,Z]");
   command->add_option("--path", flags->path, "A viewpoint s,t,z per line; pictures out_0000.png and so on")
       ->type_name("CSV");

@@ -28,6 +28,8 @@ class LatticeChart {
   LatticeChart(int rows, int cols, const std::vector<View>& cameras);
 
   Eigen::Vector2d position(const Eigen::Vector3d& o, double gx, double gy) const;
+  /// w of the surface that the cameras' centres span, at a position of the lattice.
+  double surface_w(const Eigen::Vector2d& p) const { return node_at(p).z(); }
   /// All cameras lie in the plane z = 0, so p of a viewpoint in it does not depend on direction.
   bool planar() const { return planar_; }
   /// Inside the convex hull of the present nodes, or on its boundary. Nodes of one row (column): the interval

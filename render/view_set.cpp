@@ -7,6 +7,7 @@
 
 #include "core/error.h"
 #include "core/parallel.h"
+#include "render/lattice_chart.h"
 
 namespace stuv {
 namespace {
@@ -66,6 +67,13 @@ Viewpoint default_viewpoint(const LightField& lf, double s, double t, double z) 
   return view;
 }
 
+double camera_surface_z(const LightField& lf, double s, double t) {
+  std::vector<View> cameras;
+  for (const int i : lf.views_with(ViewRole::input)) cameras.push_back(lf.views[static_cast<std::size_t>(i)]);
+  const LatticeChart chart(lf.rows, lf.cols, cameras);
+  return chart.planar() ? 0 : chart.surface_w(chart.position({s, t, 0}, 0, 0));
+}
+
 Viewpoint middle_viewpoint(const LightField& lf) {
   constexpr double inf = std::numeric_limits<double>::infinity();
   double s_min = inf, s_max = -inf, t_min = inf, t_max = -inf;
@@ -76,7 +84,8 @@ Viewpoint middle_viewpoint(const LightField& lf) {
     t_min = std::min(t_min, view.t);
     t_max = std::max(t_max, view.t);
   }
-  return default_viewpoint(lf, (s_min + s_max) / 2, (t_min + t_max) / 2);
+  const double s = (s_min + s_max) / 2, t = (t_min + t_max) / 2;
+  return default_viewpoint(lf, s, t, camera_surface_z(lf, s, t));
 }
 
 Viewpoint resized(const Viewpoint& view, int width, int height) {

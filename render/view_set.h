@@ -25,6 +25,10 @@ std::shared_ptr<const ViewSet> load_views(const LightFieldReader& reader,
 /// point that a view at (s, t) has: a parallel view on the plane then sees u = u_out - d (s_c - s).
 Viewpoint default_viewpoint(const LightField& lf, double s, double t, double z = 0);
 
+/// z of the surface through the cameras' centres, bilinear between them: real cameras stand a little off
+/// their plane. A viewpoint there at a camera's (s, t) is on that camera.
+double camera_surface_z(const LightField& lf, double s, double t);
+
 /// The middle of the lattice: centre of the bounding box of the input views, on the plane.
 Viewpoint middle_viewpoint(const LightField& lf);
 

@@ -110,7 +110,7 @@ void check_identity(const test::TempFolder& folder, const LightField& lf, const 
     const std::string out = (folder / "identity.png").string();
     run_or_fail("render " + lf.folder.string() + " -o " + out +
                 " --force --mode focal-plane --filter normal " + focus +
-                fmt::format(" --at={},{},{}", view.s, view.t, view.w));
+                fmt::format(" --at={},{}", view.s, view.t));
     const Image back = read_image(out);
     REQUIRE(back.bytes.size() == expected.bytes.size());
     CHECK(different_samples(back, expected) == 0);
