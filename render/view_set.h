@@ -29,7 +29,7 @@ Viewpoint default_viewpoint(const LightField& lf, double s, double t, double z =
 /// their plane. A viewpoint there at a camera's (s, t) is on that camera.
 double camera_surface_z(const LightField& lf, double s, double t);
 
-/// The middle of the lattice: centre of the bounding box of the input views, on the plane.
+/// The middle of the lattice: centre of the bounding box of the input views, on the cameras' surface.
 Viewpoint middle_viewpoint(const LightField& lf);
 
 /// The same view with another size: focal length scaled with the width, rows cropped or added evenly above
