@@ -20,7 +20,7 @@ namespace fs = std::filesystem;
 
 struct Flags : CommonFlags {
   fs::path scene, output, path, depth_out, index_out, confidence_out;
-  std::string at, size, disparity, depth_m;
+  std::string at, size, disparity, depth_m, weights;
   std::string mode = "all-in-focus", filter = "normal", method = "literal", backend = "cpu";
   std::optional<double> focus_m, focus_px;
   int planes = LiteralOptions{}.planes, window = LiteralOptions{}.window;
@@ -101,6 +101,17 @@ void set_range(const Flags& flags, const LightField& lf, LiteralOptions& options
   } else if (!lf.has_range()) {
     throw UsageError("the scene states no range of disparity; give --disparity MIN,MAX");
   }
+}
+
+void set_weights(const Flags& flags, LiteralOptions& options) {
+  if (flags.weights.empty()) return;
+  const std::vector<std::string> a = parse_list("--weights", flags.weights);
+  if (a.size() != 3) throw UsageError(fmt::format("--weights wants A01,A02,A12, not '{}'", flags.weights));
+  options.a01 = parse_number("--weights", a[0]);
+  options.a02 = parse_number("--weights", a[1]);
+  options.a12 = parse_number("--weights", a[2]);
+  if (std::min({options.a01, options.a02, options.a12}) < 0 || options.a01 + options.a02 + options.a12 <= 0)
+    throw UsageError("--weights wants numbers >= 0, one of them > 0");
 }
 
 /// The focal plane of --mode focal-plane; the middle of the range if none is given.
@@ -221,6 +232,7 @@ int run(const Flags& flags) {
   options.planes = flags.planes;
   options.window = flags.window;
   options.k = filter_of(flags.filter);
+  set_weights(flags, options);
   double focus = 0;
   if (all_planes)
     set_range(flags, lf, options);
@@ -280,12 +292,18 @@ void add_render_command(CLI::App& app, Action& action) {
   command->add_option("--focus", flags->focus_m, "Depth of the focal plane [m]")->type_name("Z");
   command->add_option("--focus-px", flags->focus_px, "Disparity of the focal plane [px per unit of s]")
       ->type_name("D");
-  command->add_option("--filter", flags->filter, "normal, wide or skipped [normal]")
+  command
+      ->add_option("--filter", flags->filter,
+                   "normal, wide or skipped; all in focus: the filter k of the picture [normal]")
       ->check(CLI::IsMember({"normal", "wide", "skipped"}));
   command->add_option("--method", flags->method, "How to find what is in focus: literal [literal]");
   command->add_option("--planes", flags->planes, "Number of focal planes N [13]")->check(CLI::PositiveNumber);
   command->add_option("--window", flags->window, "Half-width M of the window [7]")
       ->check(CLI::NonNegativeNumber);
+  command
+      ->add_option("--weights", flags->weights,
+                   "a_kl of equation 5: normal and wide, normal and skipped, wide and skipped [1,1,0]")
+      ->type_name("A01,A02,A12");
   command->add_option("--disparity", flags->disparity, "Range to search [px per unit of s] [the scene's]")
       ->type_name("MIN,MAX");
   command->add_option("--depth-m", flags->depth_m, "Range to search [m]")->type_name("NEAR,FAR");

@@ -27,10 +27,10 @@ double plane_disparity(const LiteralOptions& options, int n);
 /// All-in-focus view synthesis, the 2003 paper's equations as they stand (method `literal`): with I_k^n the
 /// view through filter k focused on plane n,
 ///
-///   E_0^n(x, y) = sum over k < l of a_kl | I_k^n(x, y) - I_l^n(x, y) |              (5)  summed over
-///   channels E^n(x, y)   = sum over -M <= i, j <= M of E_0^n(x + i, y + j)                   (6) n(x, y) =
-///   argmin over n of E^n(x, y)                                        (7) I(x, y)     = I_k^{n(x, y)}(x, y)
-///   (8)
+///   (5)  E_0^n(x, y) = sum over k < l of a_kl | I_k^n(x, y) - I_l^n(x, y) |, summed over channels
+///   (6)  E^n(x, y) = sum over -M <= i, j <= M of E_0^n(x + i, y + j)
+///   (7)  n(x, y) = argmin over n of E^n(x, y)
+///   (8)  I(x, y) = I_k^{n(x, y)}(x, y)
 ///
 /// Where the paper is silent: of equal minima the farther plane. E_0^n is not defined where a filter that
 /// takes part keeps less than half its weight (the others see outside their pictures); equation 6 is then the
