@@ -5,9 +5,9 @@
 
 #include <set>
 
+#include "capture/default_config.h"  // made of configs/synthetic-5x5.toml by CMake
 #include "core/error.h"
 #include "core/files.h"
-#include "capture/default_config.h"  // made of configs/synthetic-5x5.toml by CMake
 
 namespace stuv {
 namespace {

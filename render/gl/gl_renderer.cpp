@@ -2,8 +2,8 @@
 #include <epoxy/gl.h>
 #include <fmt/format.h>
 
-#include <array>
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <stdexcept>
 
