@@ -9,6 +9,8 @@
 #include <cstdio>
 #include <mutex>
 
+#include "core/files.h"
+
 namespace stuv {
 namespace {
 
@@ -71,6 +73,10 @@ bool parse_number(std::string_view text, T& value) {
 void add_common_flags(CLI::App& command, CommonFlags& flags) {
   command.add_flag("--force", flags.force, "Replace outputs that exist");
   command.add_option("--json", flags.json_file, "Write the whole result to this file")->type_name("FILE");
+  // Before any work, not after it.
+  command.parse_complete_callback([&flags] {
+    if (!flags.json_file.empty()) check_output(flags.json_file, flags.force);
+  });
 }
 
 void write_result(const CommonFlags& flags, const Json& result) {

@@ -67,9 +67,9 @@ void add_import_command(CLI::App& app, Action& action) {
   command->add_option("--layout", flags->layout, "How views are named: csv, stanford, hci [csv]")
       ->check(CLI::IsMember({"csv", "stanford", "hci"}));
   command->add_option("--focal-px", flags->focal_px, "Focal length [px]; gives the scene metres")
-      ->check(CLI::PositiveNumber);
+      ->check(CLI::Range(1e-6, 1e9));
   command->add_option("--converge-m", flags->converge_m, "Depth at which the views converge [m] [infinity]")
-      ->check(CLI::PositiveNumber);
+      ->check(CLI::Range(1e-6, 1e9));
   command
       ->add_option("--disparity", flags->disparity, "Range of the scene, px per unit of s, larger is nearer")
       ->type_name("MIN,MAX");

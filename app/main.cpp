@@ -21,14 +21,14 @@ int main(int argc, char** argv) {
   add_rectify_command(app, action);
   add_render_command(app, action);
   add_bench_command(app, action);
+  app.failure_message(
+      [](const CLI::App*, const CLI::Error& e) { return fmt::format("stuv: {}; see --help\n", e.what()); });
   try {
     app.parse(argc, argv);
+    return action();
   } catch (const CLI::ParseError& e) {
     // CLI11's own codes lie above 100; help and version are its 0.
     return app.exit(e) == 0 ? kDone : kWrongUsage;
-  }
-  try {
-    return action();
   } catch (const UsageError& e) {
     fmt::print(stderr, "stuv: {}\n", e.what());
     return kWrongUsage;

@@ -117,32 +117,47 @@ std::set<std::string, NaturalLess> camera_names(const SetFiles& sets) {
   return names;
 }
 
-/// Names that a numbering such as 01, 02, 04 leaves out; empty if the names are no numbers.
-std::vector<std::string> gaps(const std::set<std::string, NaturalLess>& names) {
-  std::vector<std::string> missing;
-  int previous = -1;
+/// The names as numbers; empty if one is none.
+std::set<int> as_numbers(const std::set<std::string, NaturalLess>& names) {
+  std::set<int> numbers;
   for (const std::string& name : names) {
     int number = 0;
     const auto [end, error] = std::from_chars(name.data(), name.data() + name.size(), number);
     if (error != std::errc() || end != name.data() + name.size()) return {};
-    const bool padded = name.size() > 1 && name.front() == '0';
-    const std::size_t width = padded || !missing.empty() || previous >= 0 ? name.size() : 1;
-    for (int n = previous + 1; previous >= 0 && n < number && missing.size() < 100; ++n)
-      missing.push_back(fmt::format("{:0{}}", n, width));
-    previous = number;
+    numbers.insert(number);
   }
+  return numbers;
+}
+
+/// Names that a numbering such as 01, 02, 04 leaves out: of 1 .. places or 0 .. places - 1 if all lie there,
+/// else between the first and the last. Empty if the names are no numbers.
+std::vector<std::string> gaps(const std::set<std::string, NaturalLess>& names, int places) {
+  const std::set<int> numbers = as_numbers(names);
+  if (numbers.empty()) return {};
+  int first = *numbers.begin(), last = *numbers.rbegin();
+  if (first >= 1 && last <= places)
+    first = 1, last = places;
+  else if (first >= 0 && last < places)
+    first = 0, last = places - 1;
+  const bool padded = names.begin()->size() > 1 && names.begin()->front() == '0';
+  const std::size_t width = padded ? names.begin()->size() : 1;
+  constexpr std::size_t kMost = 100;
+  std::vector<std::string> missing;
+  for (int n = first; n <= last && missing.size() < kMost; ++n)
+    if (!numbers.contains(n)) missing.push_back(fmt::format("{:0{}}", n, width));
   return missing;
 }
 
 [[noreturn]] void throw_wrong_count(const FilesOptions& options,
                                     const std::set<std::string, NaturalLess>& names) {
-  const auto places = static_cast<std::size_t>(options.rows) * static_cast<std::size_t>(options.cols);
+  const int places = options.rows * options.cols;
   std::string problem = fmt::format("{} camera{} found for the {} places of a {}x{} grid", names.size(),
                                     names.size() == 1 ? "" : "s", places, options.rows, options.cols);
-  if (names.size() > places)
+  if (names.size() > static_cast<std::size_t>(places))
     throw Error(options.pattern, problem, "use a larger grid, or list the wanted names in a config");
-  if (const std::vector<std::string> missing = gaps(names); !missing.empty())
-    problem += fmt::format(", without any picture: {}", fmt::join(missing, ", "));
+  const std::vector<std::string> missing = gaps(names, places);
+  problem += missing.empty() ? fmt::format(", namely {}", fmt::join(names, ", "))
+                             : fmt::format(", without any picture: {}", fmt::join(missing, ", "));
   throw Error(options.pattern, problem,
               "add the pictures, or list the names in a config with \"\" for empty places");
 }

@@ -30,11 +30,15 @@ fs::path without_trailing_slash(const fs::path& path) {
   return path.has_filename() ? path : path.parent_path();
 }
 
-void sync_path(const fs::path& path) {
-  const int fd = ::open(path.c_str(), O_RDONLY | O_CLOEXEC);
-  if (fd < 0) return;
-  ::fsync(fd);
-  ::close(fd);
+/// --force is meant for what this program made, not for whatever folder a slip of the keyboard names.
+void require_replaceable(const fs::path& folder) {
+  std::error_code ec;
+  if (!fs::exists(folder, ec)) return;
+  for (const char* manifest : {"recording.json", "rig.json", "lightfield.json"})
+    if (fs::exists(folder / manifest, ec)) return;
+  if (fs::is_directory(folder, ec) && fs::is_empty(folder, ec)) return;
+  throw Error(folder.string(), "exists and was not made by stuv",
+              "choose another name; --force replaces recordings, rigs and scenes only");
 }
 
 [[noreturn]] void throw_write_error(const fs::path& file, int error) {
@@ -91,9 +95,17 @@ void check_output(const fs::path& path, bool force) {
   ::unlink(probe.c_str());
 }
 
+void sync_to_disk(const fs::path& path) {
+  const int fd = ::open(path.c_str(), O_RDONLY | O_CLOEXEC);
+  if (fd < 0) return;
+  ::fsync(fd);
+  ::close(fd);
+}
+
 AtomicOutput::AtomicOutput(fs::path target, Kind kind, bool force)
     : target_(without_trailing_slash(target)), force_(force) {
   check_output(target_, force);
+  if (kind == Kind::folder) require_replaceable(target_);
   work_ = beside(target_);
   if (kind != Kind::folder) return;
   std::error_code ec;
@@ -106,7 +118,7 @@ AtomicOutput::~AtomicOutput() {
 }
 
 void AtomicOutput::commit() {
-  sync_path(work_);
+  sync_to_disk(work_);
   std::error_code ec;
   fs::path old;
   // rename() replaces a file by itself but not a folder that holds something.
@@ -122,6 +134,7 @@ void AtomicOutput::commit() {
     throw_write_error(target_, ec.value());
   }
   committed_ = true;
+  sync_to_disk(target_.has_parent_path() ? target_.parent_path() : fs::path("."));
   if (!old.empty()) fs::remove_all(old, ec);
 }
 

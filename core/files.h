@@ -16,8 +16,13 @@ void write_text(const std::filesystem::path& file, std::string_view text);
 /// Commands call it before they start working.
 void check_output(const std::filesystem::path& path, bool force);
 
+/// Asks the system to bring a file or folder to the disk now; quietly does nothing where that is not
+/// possible.
+void sync_to_disk(const std::filesystem::path& path);
+
 /// A folder (or file) that appears whole or not at all: work in path(), then commit() puts it in the place of
-/// `target`. What was not committed is removed by the destructor.
+/// `target`. What was not committed is removed by the destructor. With `force`, a folder in its place is
+/// replaced only if it is empty or holds a manifest of ours.
 class AtomicOutput {
  public:
   enum class Kind { folder, file };

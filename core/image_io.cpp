@@ -2,6 +2,7 @@
 
 #include <OpenImageIO/imageio.h>
 #include <fmt/format.h>
+#include <zlib.h>
 
 #include <algorithm>
 #include <array>
@@ -49,25 +50,46 @@ OIIO::TypeDesc to_oiio(PixelType type) {
   return OIIO::TypeFloat;
 }
 
+/// Walks a PNG's chunks: length, type, data, CRC-32 of type and data. Ends with IEND, or it is damaged.
+bool png_is_whole(std::string_view bytes) {
+  const auto number = [&](std::size_t at) {
+    std::uint32_t value = 0;
+    for (std::size_t i = at; i < at + 4; ++i) value = value << 8 | static_cast<unsigned char>(bytes[i]);
+    return value;
+  };
+  constexpr std::size_t kFrame = 12;
+  for (std::size_t at = 8; bytes.size() >= kFrame && at <= bytes.size() - kFrame;) {
+    const std::size_t length = number(at);
+    if (length > bytes.size() - kFrame - at) return false;
+    const auto* type = reinterpret_cast<const Bytef*>(bytes.data() + at + 4);
+    if (crc32(0, type, static_cast<uInt>(length + 4)) != number(at + 8 + length)) return false;
+    if (bytes.substr(at + 4, 4) == "IEND") return true;
+    at += length + kFrame;
+  }
+  return false;
+}
+
+/// In a JPEG the end marker must stand behind the last scan: a thumbnail has an end marker of its own.
+bool jpeg_is_whole(std::string_view bytes) {
+  const std::size_t scan = bytes.rfind("\xFF\xDA"), end = bytes.rfind("\xFF\xD9");
+  return scan != std::string_view::npos && end != std::string_view::npos && end > scan;
+}
+
 /// libjpeg fills what a truncated file lacks with grey and only warns, and libpng prints to stderr: so look
-/// for the end marker before either sees the file. (In a JPEG it must stand behind the last scan: a thumbnail
-/// has an end marker of its own.)
-bool lacks_end(const std::filesystem::path& file) {
+/// before either sees the file.
+bool is_damaged(const std::filesystem::path& file) {
   std::array<char, 4> magic{};
   std::ifstream(file, std::ios::binary).read(magic.data(), magic.size());
   const std::string_view begin(magic.data(), magic.size());
-  const bool png = begin == "\x89PNG", jpeg = begin.substr(0, 3) == "\xFF\xD8\xFF";
-  if (!png && !jpeg) return false;
-  const std::string bytes = read_text(file);
-  if (png) return bytes.rfind("IEND") == std::string::npos;
-  const std::size_t scan = bytes.rfind("\xFF\xDA"), end = bytes.rfind("\xFF\xD9");
-  return scan == std::string::npos || end == std::string::npos || end < scan;
+  if (begin == "\x89PNG") return !png_is_whole(read_text(file));
+  if (begin.substr(0, 3) == "\xFF\xD8\xFF") return !jpeg_is_whole(read_text(file));
+  return false;
 }
 
 std::unique_ptr<OIIO::ImageInput> open_input(const std::filesystem::path& file) {
   std::error_code ec;
   if (!std::filesystem::exists(file, ec)) throw Error(file.string(), "does not exist", "check the path");
-  if (lacks_end(file)) throw Error(file.string(), "is truncated", "replace it");
+  if (is_damaged(file)) throw Error(file.string(), "is damaged or truncated", "replace it");
   OIIO::ImageSpec config;
   config["oiio:UnassociatedAlpha"] = 1;  // a mask must not darken the colours
   auto input = OIIO::ImageInput::open(file.string(), &config);

@@ -33,7 +33,14 @@ Json read_manifest(const std::filesystem::path& file, const std::string& format,
 }
 
 void write_json(const std::filesystem::path& file, const Json& json) {
-  write_text(file, json.dump(1) + "\n");
+  std::string text;
+  try {
+    text = json.dump(1) + "\n";
+  } catch (const Json::type_error&) {
+    throw Error(file.string(), "cannot hold a name that is not UTF-8",
+                "rename the files or folders concerned");
+  }
+  write_text(file, text);
 }
 
 Json to_json(const Pose& pose) {

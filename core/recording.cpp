@@ -127,10 +127,6 @@ void require_complete(const Recording& recording) {
 RecordingWriter::RecordingWriter(const fs::path& folder, int rows, int cols,
                                  std::vector<RecordedCamera> cameras, const Json& source, bool force)
     : folder_(folder), cameras_(std::move(cameras)) {
-  std::error_code ec;
-  if (force && fs::exists(folder, ec) && !fs::exists(folder / "recording.json", ec))
-    throw Error(folder.string(), "exists and is not a recording",
-                "choose another name; --force replaces recordings only");
   AtomicOutput output(folder, AtomicOutput::Kind::folder, force);
   Json list = Json::array();
   for (const RecordedCamera& camera : cameras_)
@@ -163,13 +159,16 @@ fs::path RecordingWriter::begin_set(const std::string& name) {
 }
 
 void RecordingWriter::commit_set(const FrameSet& set) {
-  write_json(open_set_ / "set.json", set_to_json(set, cameras_));
   std::error_code ec;
+  for (const auto& entry : fs::directory_iterator(open_set_, ec)) sync_to_disk(entry.path());
+  write_json(open_set_ / "set.json", set_to_json(set, cameras_));
+  sync_to_disk(open_set_);
   fs::rename(open_set_, folder_ / "sets" / set.name, ec);
   if (ec)
     throw Error((folder_ / "sets" / set.name).string(),
                 fmt::format("cannot be put in place: {}", ec.message()), "check for a set of the same name");
   open_set_.clear();
+  sync_to_disk(folder_ / "sets");
 }
 
 }  // namespace stuv

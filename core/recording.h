@@ -71,8 +71,7 @@ void require_complete(const Recording& recording);
 /// Writes a recording set by set.
 class RecordingWriter {
  public:
-  /// Creates the folder with its manifest. Throws Error if it exists and `force` is false (with `force`, only
-  /// a folder that is a recording is replaced).
+  /// Creates the folder with its manifest. Throws Error if it exists and `force` is false (see AtomicOutput).
   RecordingWriter(const std::filesystem::path& folder, int rows, int cols,
                   std::vector<RecordedCamera> cameras, const Json& source, bool force);
   ~RecordingWriter();

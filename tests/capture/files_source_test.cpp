@@ -172,3 +172,24 @@ TEST_CASE("files: the real array has four sets of 20 cameras, and 113 lacks 16 t
   CHECK(recording.sets[3].frames[14].status == FrameStatus::ok);
   CHECK(recording.sets[3].frames[15].status == FrameStatus::missing);
 }
+
+TEST_CASE(
+    "files: a camera without any picture is named, also the first, the last, and where names are no "
+    "numbers") {
+  const test::TempFolder folder;
+  const auto picture = from_float(ImageF(8, 8, 1, 0.5F), PixelType::u8);
+  const auto fails_with = [&](const std::string& text) {
+    FilesOptions options;
+    options.pattern = (folder / "s{set}_{camera}.png").string();
+    options.rows = 1;
+    options.cols = 4;
+    CHECK_THROWS_WITH(open_files(options), Catch::Contains(text));
+  };
+  for (const char* name : {"02", "03", "04"})
+    write_image(folder / (std::string("s1_") + name + ".png"), picture);
+  fails_with("without any picture: 01");
+  std::filesystem::rename(folder / "s1_04.png", folder / "s1_01.png");
+  fails_with("without any picture: 04");
+  std::filesystem::rename(folder / "s1_01.png", folder / "s1_left.png");
+  fails_with("namely 02, 03, left");
+}

@@ -43,6 +43,9 @@ TEST_CASE("an output that exists is replaced by force only") {
   write_text(folder / "scene/old.txt", "old");
   CHECK_THROWS_WITH(AtomicOutput(folder / "scene", AtomicOutput::Kind::folder, false),
                     Contains("exists already") && Contains("--force"));
+  CHECK_THROWS_WITH(AtomicOutput(folder / "scene", AtomicOutput::Kind::folder, true),
+                    Contains("not made by stuv"));
+  write_text(folder / "scene/lightfield.json", "{}");
   AtomicOutput output(folder / "scene/", AtomicOutput::Kind::folder, true);
   write_text(output.path() / "new.txt", "new");
   CHECK(read_text(folder / "scene/old.txt") == "old");
@@ -92,3 +95,9 @@ TEST_CASE("JSON holds no Inf or NaN") {
 }
 
 TEST_CASE("an error is one line") { CHECK(std::string(Error("a\nb", "c\n", "d").what()) == "a b: c ; d"); }
+
+TEST_CASE("a name that is not UTF-8 is an error that names the file") {
+  const test::TempFolder folder;
+  CHECK_THROWS_WITH(write_json(folder / "a.json", {{"name", "\xe9"}}),
+                    Contains("a.json") && Contains("UTF-8"));
+}

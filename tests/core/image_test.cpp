@@ -115,3 +115,13 @@ TEST_CASE("PFM keeps values, order and what is not finite") {
   write_text(folder / "c.pfm", "PF\n-3 4\n-1.0\n");
   CHECK_THROWS_AS(read_pfm(folder / "c.pfm"), Error);
 }
+
+TEST_CASE("a flipped byte in a PNG is found before libpng prints about it") {
+  const test::TempFolder folder;
+  write_image(folder / "a.png", from_float(ramp(200, 150, 3), PixelType::u8));
+  std::string bytes = read_text(folder / "a.png");
+  bytes[bytes.size() / 2] = static_cast<char>(bytes[bytes.size() / 2] ^ 0x55);
+  write_text(folder / "a.png", bytes);
+  CHECK_THROWS_WITH(read_image(folder / "a.png"), Contains("a.png") && Contains("damaged"));
+  CHECK_THROWS_AS(read_image_info(folder / "a.png"), Error);
+}

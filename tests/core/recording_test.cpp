@@ -60,8 +60,9 @@ TEST_CASE("a recording is only replaced by force, and force replaces recordings 
   CHECK_THROWS_WITH(RecordingWriter(folder / "rec", 1, 2, kCameras, {}, false), Contains("exists already"));
   CHECK_NOTHROW(RecordingWriter(folder / "rec", 1, 2, kCameras, {}, true));
   std::filesystem::create_directory(folder / "photos");
+  write_text(folder / "photos/wedding.txt", "dear");
   CHECK_THROWS_WITH(RecordingWriter(folder / "photos", 1, 2, kCameras, {}, true),
-                    Contains("not a recording"));
+                    Contains("not made by stuv"));
 }
 
 TEST_CASE("damaged recordings are named") {
