@@ -112,7 +112,7 @@ std::vector<std::byte> pick(const std::vector<std::byte>& bytes, std::size_t sam
   return out;
 }
 
-Mask mask_from_alpha(Image alpha) {
+Mask mask_from_alpha(const Image& alpha) {
   const ImageF values = to_float(alpha);
   Mask mask(alpha.width, alpha.height, 1);
   for (std::size_t i = 0; i < mask.data.size(); ++i) mask.data[i] = values.data[i] >= 0.5F ? 255 : 0;
@@ -161,7 +161,7 @@ Image read_image(const std::filesystem::path& file) {
   }
   Image alpha{image.width, image.height, 1, image.type, pick(all, sample, spec.nchannels, image.channels, 1),
               {}};
-  image.mask = mask_from_alpha(std::move(alpha));
+  image.mask = mask_from_alpha(alpha);
   image.bytes = pick(all, sample, spec.nchannels, 0, image.channels);
   return image;
 }

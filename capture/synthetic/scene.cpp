@@ -103,7 +103,7 @@ class Tracer {
     if (hit.object < 0) return surroundings(direction);
     if (hit.object == kGlobe)
       return Colour(0.95F, 0.90F, 0.75F) * static_cast<float>(0.75 - 0.25 * hit.normal.dot(direction));
-    const Colour surface = texture(hit, step);
+    Colour surface = texture(hit, step);
     if (scene_.options_.kind == SceneOptions::Kind::wall) return surface;
     Colour sum = surface.cwiseProduct(incoming(hit));
     const float gloss = gloss_of(hit.object);
