@@ -106,7 +106,7 @@ void LatticeChart::build_hull(const std::vector<View>& cameras) {
   half(points.rbegin(), points.rend());
 }
 
-Eigen::Vector3d LatticeChart::node_at(const Eigen::Vector2d& p) const {
+LatticeChart::Interpolated LatticeChart::node_at(const Eigen::Vector2d& p) const {
   const double x = std::clamp(p.x(), 0.0, cols_ - 1.0), y = std::clamp(p.y(), 0.0, rows_ - 1.0);
   const int x0 = std::min(static_cast<int>(x), std::max(cols_ - 2, 0));
   const int y0 = std::min(static_cast<int>(y), std::max(rows_ - 2, 0));
@@ -115,21 +115,33 @@ Eigen::Vector3d LatticeChart::node_at(const Eigen::Vector2d& p) const {
   const auto node = [&](int col, int row) -> const Eigen::Vector3d& {
     return nodes_[static_cast<std::size_t>(row * cols_ + col)];
   };
-  return (1 - ay) * ((1 - ax) * node(x0, y0) + ax * node(x1, y0)) +
-         ay * ((1 - ax) * node(x0, y1) + ax * node(x1, y1));
+  const Eigen::Vector3d upper = (1 - ax) * node(x0, y0) + ax * node(x1, y0);
+  const Eigen::Vector3d lower = (1 - ax) * node(x0, y1) + ax * node(x1, y1);
+  Interpolated out;
+  out.value = (1 - ay) * upper + ay * lower;
+  out.gradient.setZero();  // beyond the lattice the border value goes on
+  if (x == p.x())
+    out.gradient.col(0) = (1 - ay) * (node(x1, y0) - node(x0, y0)) + ay * (node(x1, y1) - node(x0, y1));
+  if (y == p.y()) out.gradient.col(1) = lower - upper;
+  return out;
 }
 
 Eigen::Vector2d LatticeChart::position(const Eigen::Vector3d& o, double gx, double gy) const {
   const auto at = [&](double z) -> Eigen::Vector2d {
     return affine_ * Eigen::Vector3d(o.x() + (z - o.z()) * gx, o.y() + (z - o.z()) * gy, 1);
   };
+  const Eigen::Vector2d along_ray = affine_.leftCols<2>() * Eigen::Vector2d(gx, gy);
   Eigen::Vector2d p = at(0);
   for (int i = 0; i < kIterations; ++i) {
-    const Eigen::Vector3d node = node_at(p);
-    const Eigen::Vector2d next = at(node.z()) - node.head<2>();
-    const double moved = (next - p).norm();
-    p = next;
-    if (moved < 1e-14) break;
+    const Interpolated node = node_at(p);
+    const Eigen::Vector2d f = p + node.value.head<2>() - at(node.value.z());
+    const Eigen::Matrix2d J =
+        Eigen::Matrix2d::Identity() + node.gradient.topRows<2>() - along_ray * node.gradient.row(2);
+    Eigen::Vector2d step = J.determinant() > kLeastDeterminant ? Eigen::Vector2d(J.inverse() * f) : f;
+    // Newton's method may go to and fro between two cells of a piecewise function: shorter steps end that.
+    if (i >= kIterations / 2) step *= 0.5;
+    p -= step;
+    if (step.norm() < 1e-14) break;
   }
   return {snapped(p.x()), snapped(p.y())};
 }

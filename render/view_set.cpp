@@ -28,6 +28,30 @@ void mask_non_finite(ViewPixels& view) {
 
 }  // namespace
 
+namespace {
+
+/// Place of each line that is used, among those that are used.
+std::vector<int> ranks_of(int lines, const std::vector<View>& cameras, int View::*line) {
+  std::vector<int> rank(static_cast<std::size_t>(lines), 0);
+  for (const View& camera : cameras) rank[static_cast<std::size_t>(camera.*line)] = 1;
+  int next = 0;
+  for (int& r : rank) r = r > 0 ? next++ : -1;
+  return rank;
+}
+
+}  // namespace
+
+void drop_empty_lines(ViewSet& set) {
+  const std::vector<int> rows = ranks_of(set.lf.rows, set.cameras, &View::row);
+  const std::vector<int> cols = ranks_of(set.lf.cols, set.cameras, &View::col);
+  for (View& camera : set.cameras) {
+    camera.row = rows[static_cast<std::size_t>(camera.row)];
+    camera.col = cols[static_cast<std::size_t>(camera.col)];
+  }
+  set.lf.rows = 1 + *std::max_element(rows.begin(), rows.end());
+  set.lf.cols = 1 + *std::max_element(cols.begin(), cols.end());
+}
+
 std::shared_ptr<const ViewSet> load_views(const LightFieldReader& reader,
                                           const std::vector<std::string>& leave_out) {
   auto set = std::make_shared<ViewSet>();
@@ -45,6 +69,7 @@ std::shared_ptr<const ViewSet> load_views(const LightFieldReader& reader,
     set->cameras.push_back(view);
   }
   if (indices.empty()) throw Error(set->lf.folder.string(), "has no view left", "leave fewer views out");
+  drop_empty_lines(*set);
   set->pixels.resize(indices.size());
   parallel_for(static_cast<int>(indices.size()), [&](int i) {
     ViewPixels pixels = reader.read(indices[static_cast<std::size_t>(i)]);

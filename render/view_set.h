@@ -16,6 +16,11 @@ struct ViewSet {
   std::vector<ViewPixels> pixels;  ///< beside `cameras`; a non-finite pixel is masked, its colour 0
 };
 
+/// Rows and columns of the lattice on which no camera stands are taken out, the others counted anew: along a
+/// row the filters then count in cameras that are there. Otherwise, at the place of a missing camera, all
+/// three would be the mean of its two neighbours, and nothing could be told to be in focus.
+void drop_empty_lines(ViewSet& set);
+
 /// Reads all input views but those named in `leave_out`, which become holes of the lattice.
 /// Throws Error if a name is no input view, none is left, or a picture cannot be read.
 std::shared_ptr<const ViewSet> load_views(const LightFieldReader& reader,

@@ -62,6 +62,35 @@ TEST_CASE("Along a row a tent reaches to the next present camera") {
   CHECK(skipped.at("0_4") == Approx(0.25));
 }
 
+TEST_CASE("At the place of a missing camera of a row the three filters differ") {
+  for (int hole = 1; hole < 8; ++hole) {
+    const auto set = make_views({.rows = 1, .cols = 9, .jitter = 0.05, .holes = {{0, hole}}});
+    drop_empty_lines(*set);
+    CHECK(set->lf.cols == 8);
+    const LatticeChart chart(set->lf.rows, set->lf.cols, set->cameras);
+    const double p = chart.position({double(hole), 0, 0}, 0, 0).x();
+    CHECK(p > hole - 1);
+    CHECK(p < hole);
+    const auto normal = weights_at(*set, Filter::normal, p, 0);
+    CHECK(normal.size() == 2);
+    CHECK(weights_at(*set, Filter::wide, p, 0).size() > 2);
+    CHECK(weights_at(*set, Filter::skipped, p, 0) != normal);
+  }
+}
+
+TEST_CASE("Places are found on rows of very uneven spacing") {
+  auto set = make_views({.rows = 1, .cols = 12, .holes = {{0, 3}, {0, 4}, {0, 5}, {0, 6}, {0, 9}}});
+  drop_empty_lines(*set);
+  const LatticeChart chart(set->lf.rows, set->lf.cols, set->cameras);
+  for (std::size_t i = 0; i + 1 < set->cameras.size(); ++i) {
+    const View &a = set->cameras[i], &b = set->cameras[i + 1];
+    for (const double part : {0.0, 0.3, 0.9}) {
+      const Eigen::Vector2d p = chart.position({a.s + part * (b.s - a.s), 0, 0}, 0, 0);
+      CHECK(p.x() == Approx(a.col + part).margin(1e-9));
+    }
+  }
+}
+
 TEST_CASE("Weights add up to 1 everywhere, holes and outside included") {
   const auto set = make_views({.rows = 4, .cols = 5, .holes = {{0, 0}, {2, 2}, {2, 3}, {3, 4}, {0, 4}}});
   for (const Filter filter : {Filter::normal, Filter::wide, Filter::skipped}) {
