@@ -27,18 +27,18 @@ void copy_picture(const fs::path& from, const fs::path& to) {
 /// Stores one frame's content in `folder` and returns what recording.json calls its file.
 fs::path store(const SourceFrame& frame, const std::string& camera, const fs::path& folder) {
   if (const auto* image = std::get_if<Image>(&frame.content)) {
-    const fs::path name = camera + ".png";
+    fs::path name = camera + ".png";
     write_image(folder / name, *image);
     return name;
   }
   if (const auto* raw = std::get_if<RawFrame>(&frame.content)) {
-    const fs::path name = camera + "." + raw->extension;
+    fs::path name = camera + "." + raw->extension;
     write_text(folder / name, {reinterpret_cast<const char*>(raw->bytes.data()), raw->bytes.size()});
     return name;
   }
   if (const auto* file = std::get_if<FileFrame>(&frame.content)) {
     if (!file->copy) return fs::absolute(file->file).lexically_normal();
-    const fs::path name = camera + file->file.extension().string();
+    fs::path name = camera + file->file.extension().string();
     copy_picture(file->file, folder / name);
     return name;
   }

@@ -102,7 +102,7 @@ void sync_to_disk(const fs::path& path) {
   ::close(fd);
 }
 
-AtomicOutput::AtomicOutput(fs::path target, Kind kind, bool force)
+AtomicOutput::AtomicOutput(const fs::path& target, Kind kind, bool force)
     : target_(without_trailing_slash(target)), force_(force) {
   check_output(target_, force);
   if (kind == Kind::folder) require_replaceable(target_);

@@ -26,7 +26,7 @@ void sync_to_disk(const std::filesystem::path& path);
 class AtomicOutput {
  public:
   enum class Kind { folder, file };
-  AtomicOutput(std::filesystem::path target, Kind kind, bool force);
+  AtomicOutput(const std::filesystem::path& target, Kind kind, bool force);
   ~AtomicOutput();
   AtomicOutput(const AtomicOutput&) = delete;
   AtomicOutput& operator=(const AtomicOutput&) = delete;

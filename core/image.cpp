@@ -25,7 +25,7 @@ void float_to_integers(const std::vector<float>& in, std::byte* bytes) {
   for (std::size_t i = 0; i < in.size(); ++i) {
     // A NaN fails both comparisons of clamp and would be undefined as an integer.
     const float value = std::isnan(in[i]) ? 0.0F : std::clamp(in[i], 0.0F, 1.0F);
-    values[i] = static_cast<T>(value * top + 0.5F);
+    values[i] = static_cast<T>(std::lrint(value * top));
   }
 }
 

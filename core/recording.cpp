@@ -148,7 +148,7 @@ RecordingWriter::~RecordingWriter() {
 }
 
 fs::path RecordingWriter::begin_set(const std::string& name) {
-  const fs::path work = folder_ / "sets" / ("." + name + ".partial");
+  fs::path work = folder_ / "sets" / ("." + name + ".partial");
   std::error_code ec;
   fs::remove_all(work, ec);
   if (!fs::create_directory(work, ec))

@@ -69,7 +69,7 @@ Image expose(const ImageF& light, int channels, const SensorOptions& sensor, con
         const float ideal = factor * from[x * light.channels + std::min(c, light.channels - 1)];
         const float value = noisy(ideal, mix(exposure.seed ^ mix(to)));
         image.bytes[to] = static_cast<std::byte>(
-            table[value > 0 ? static_cast<std::size_t>(std::min(value, 1.0F) * 65535.0F + 0.5F) : 0]);
+            table[value > 0 ? static_cast<std::size_t>(std::lrint(std::min(value, 1.0F) * 65535.0F)) : 0]);
       }
     }
   });
