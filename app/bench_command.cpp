@@ -1,5 +1,4 @@
 #include <fmt/format.h>
-#include <sys/resource.h>
 
 #include <algorithm>
 #include <cmath>
@@ -35,16 +34,21 @@ std::vector<int> compared_views(const LightField& lf, int wanted) {
     t1 = std::max(t1, lf.views[i].t);
   }
   std::vector<int> all;
-  for (const int i : lf.views_with(ViewRole::truth)) {
+  const std::vector<int> truths = lf.views_with(ViewRole::truth);
+  for (const int i : truths) {
     const View& view = lf.views[i];
     if (view.s >= s0 && view.s <= s1 && view.t >= t0 && view.t <= t1) all.push_back(i);
   }
-  if (all.empty() && inputs.size() > 1) all = inputs;
+  if (!truths.empty() && all.empty())
+    throw Error(lf.folder.string(), "has no truth view between its inputs",
+                "import it with truth rows inside the cameras' box, or with none");
+  if (truths.empty() && inputs.size() > 1) all = inputs;
   if (all.empty())
     throw Error(lf.folder.string(), "has no held-out view and only one input", "import it with truth rows");
   const auto n = static_cast<int>(all.size());
   if (wanted <= 0 || wanted >= n) return all;
   std::vector<int> chosen;
+  chosen.reserve(static_cast<std::size_t>(wanted));
   for (int i = 0; i < wanted; ++i) chosen.push_back(all[static_cast<int>((i + 0.5) * n / wanted)]);
   return chosen;
 }
@@ -70,43 +74,65 @@ std::unique_ptr<FocalPlaneRenderer> renderer_of(const std::string& backend,
   return backend == "gl" ? make_gl_renderer(std::move(views)) : make_cpu_renderer(std::move(views));
 }
 
-Json measure(const LightFieldReader& reader, const std::string& backend, const LiteralOptions& options,
-             const Flags& flags, const Reporter& reporter) {
+/// Forgets the process's peak of resident memory, where the kernel lets us.
+void reset_peak_memory() { std::ofstream("/proc/self/clear_refs") << 5; }
+
+double peak_memory_mb() {
+  std::ifstream in("/proc/self/status");
+  for (std::string line; std::getline(in, line);)
+    if (line.rfind("VmHWM:", 0) == 0) return std::stod(line.substr(6)) / 1024;
+  return std::nan("");
+}
+
+/// The place of a view, with its own principal point: then nothing but rendering is compared.
+Viewpoint viewpoint_of(const LightField& lf, const View& view) {
+  Viewpoint out = default_viewpoint(lf, view.s, view.t, view.w);
+  out.cx_px = view.cx_px;
+  out.cy_px = view.cy_px;
+  return out;
+}
+
+struct Case {
+  std::string method, backend;
+  LiteralOptions options;
+};
+
+Json measure(const LightFieldReader& reader, const Case& c, const Flags& flags, const Reporter& reporter) {
   const LightField& lf = reader.light_field();
   const std::vector<int> compared = compared_views(lf, flags.views);
   std::unique_ptr<FocalPlaneRenderer> renderer;
   std::vector<double> ms;
   double psnr = 0, similarity = 0, evaluated = 0;
+  reset_peak_memory();
   for (const int i : compared) {
     const View& truth = lf.views[i];
     const bool leave_out = truth.role == ViewRole::input;
     // Views that are held out anyway share one renderer: its views are then loaded once.
     if (!renderer || leave_out)
       renderer = renderer_of(
-          backend, load_views(reader, leave_out ? std::vector{truth.name} : std::vector<std::string>{}));
-    const RenderedView view =
-        all_in_focus(*renderer, default_viewpoint(lf, truth.s, truth.t, truth.w), options);
+          c.backend, load_views(reader, leave_out ? std::vector{truth.name} : std::vector<std::string>{}));
+    const RenderedView view = all_in_focus(*renderer, viewpoint_of(lf, truth), c.options);
     const ImageF expected = reader.read(i).colour;
     ms.push_back(view.statistics.milliseconds);
     psnr += psnr_db(view.colour, expected, flags.border);
     similarity += ssim(view.colour, expected, flags.border);
     evaluated += view.statistics.evaluated_fraction;
-    reporter.at(fmt::format("literal, {}, N = {}", backend, options.planes), ms.size(), compared.size());
+    reporter.at(fmt::format("{}, {}, N = {}", c.method, c.backend, c.options.planes), ms.size(),
+                compared.size());
   }
   const auto n = static_cast<double>(compared.size());
-  rusage usage{};
-  ::getrusage(RUSAGE_SELF, &usage);
-  return {{"method", "literal"},
-          {"backend", backend},
-          {"planes", options.planes},
-          {"window", options.window},
+  const auto number = [](double value) { return std::isfinite(value) ? Json(value) : Json(nullptr); };
+  return {{"method", c.method},
+          {"backend", c.backend},
+          {"planes", c.options.planes},
+          {"window", c.options.window},
           {"views", compared.size()},
           {"ms_median", quantile(ms, 0.5)},
           {"ms_p95", quantile(ms, 0.95)},
-          {"psnr_db", psnr / n},
-          {"ssim", similarity / n},
+          {"psnr_db", number(psnr / n)},
+          {"ssim", number(similarity / n)},
           {"evaluated_fraction", evaluated / n},
-          {"peak_mb", static_cast<double>(usage.ru_maxrss) / 1024}};
+          {"peak_mb", number(peak_memory_mb())}};
 }
 
 std::vector<int> parse_planes(const std::string& text) {
@@ -120,8 +146,35 @@ std::vector<int> parse_planes(const std::string& text) {
   return planes;
 }
 
+void print_row(const Json& row) {
+  const auto number = [&](const char* key) { return row[key].is_null() ? NAN : row[key].get<double>(); };
+  fmt::print("{:<8} {:<4} {:>6} {:>6} {:>5} {:>10.1f} {:>8.2f} {:>7.4f} {:>9.3f} {:>8.0f}\n",
+             row["method"].get<std::string>(), row["backend"].get<std::string>(), row["planes"].get<int>(),
+             row["window"].get<int>(), row["views"].get<int>(), number("ms_median"), number("psnr_db"),
+             number("ssim"), number("evaluated_fraction"), number("peak_mb"));
+}
+
+LiteralOptions options_of(const Flags& flags, const LightField& lf) {
+  LiteralOptions options;
+  options.window = flags.window;
+  options.d_min = lf.d_min;
+  options.d_max = lf.d_max;
+  if (!flags.disparity.empty()) {
+    std::tie(options.d_min, options.d_max) = parse_pair("--disparity", flags.disparity);
+    if (!(options.d_min <= options.d_max) || !std::isfinite(options.d_min) || !std::isfinite(options.d_max))
+      throw UsageError("--disparity wants finite MIN,MAX with MIN <= MAX (larger is nearer)");
+  }
+  if (!(options.d_min <= options.d_max))
+    throw Error(flags.scene.string(), "has no depth range", "give --disparity MIN,MAX");
+  if (2 * flags.border >= std::min(lf.width, lf.height))
+    throw UsageError(
+        fmt::format("--border {} leaves nothing of {}x{} pixels", flags.border, lf.width, lf.height));
+  return options;
+}
+
 int run(const Flags& flags) {
-  for (const std::string& method : parse_list("--methods", flags.methods))
+  const std::vector<std::string> methods = parse_list("--methods", flags.methods);
+  for (const std::string& method : methods)
     if (method != "literal")
       throw UsageError(fmt::format("--methods: there is no '{}'; this version has: literal", method));
   const std::vector<std::string> backends = parse_list("--backend", flags.backends);
@@ -130,29 +183,21 @@ int run(const Flags& flags) {
       throw UsageError(fmt::format("--backend: there is no '{}'; cpu, gl", backend));
   const std::vector<int> planes = parse_planes(flags.planes);
   const LightFieldReader reader(open_light_field(flags.scene));
-  const LightField& lf = reader.light_field();
-  LiteralOptions options;
-  options.window = flags.window;
-  options.d_min = lf.d_min;
-  options.d_max = lf.d_max;
-  if (!flags.disparity.empty())
-    std::tie(options.d_min, options.d_max) = parse_pair("--disparity", flags.disparity);
-  if (!(options.d_min <= options.d_max))
-    throw Error(flags.scene.string(), "has no depth range", "give --disparity MIN,MAX");
+  Case c{"", "", options_of(flags, reader.light_field())};
   check_output(flags.output, flags.force);
   const Reporter reporter = console_reporter();
   Json rows = Json::array();
-  fmt::print("{:<8} {:<4} {:>6} {:>6} {:>5} {:>10} {:>8} {:>7}\n", "method", "on", "planes", "window",
-             "views", "ms/view", "PSNR dB", "SSIM");
-  for (const std::string& backend : backends)
-    for (const int n : planes) {
-      options.planes = n;
-      const Json row = measure(reader, backend, options, flags, reporter);
-      fmt::print("{:<8} {:<4} {:>6} {:>6} {:>5} {:>10.1f} {:>8.2f} {:>7.4f}\n", "literal", backend, n,
-                 options.window, row["views"].get<int>(), row["ms_median"].get<double>(),
-                 row["psnr_db"].get<double>(), row["ssim"].get<double>());
-      rows.push_back(row);
-    }
+  fmt::print("{:<8} {:<4} {:>6} {:>6} {:>5} {:>10} {:>8} {:>7} {:>9} {:>8}\n", "method", "on", "planes",
+             "window", "views", "ms/view", "PSNR dB", "SSIM", "evaluated", "peak MB");
+  for (const std::string& method : methods)
+    for (const std::string& backend : backends)
+      for (const int n : planes) {
+        c.method = method;
+        c.backend = backend;
+        c.options.planes = n;
+        rows.push_back(measure(reader, c, flags, reporter));
+        print_row(rows.back());
+      }
   const Json result = {{"scene", flags.scene.string()}, {"machine", machine()}, {"rows", rows}};
   write_json(flags.output, result);
   write_result(flags, result);
@@ -172,12 +217,12 @@ void add_bench_command(CLI::App& app, Action& action) {
   command->add_option("--methods", flags->methods, "Methods, separated by commas [literal]");
   command->add_option("--planes", flags->planes, "Numbers of focal planes [13]");
   command->add_option("--window", flags->window, "M: windows have (2M + 1)^2 pixels [7]")
-      ->check(CLI::NonNegativeNumber);
+      ->check(CLI::Range(0, kMostPixels));
   command->add_option("--backend", flags->backends, "cpu, gl or both [cpu]");
   command->add_option("--views", flags->views, "Compare K of the held-out views, spread evenly [all]")
-      ->check(CLI::NonNegativeNumber);
+      ->check(CLI::Range(0, kMostPixels));
   command->add_option("--border", flags->border, "Pixels left out at every side [0]")
-      ->check(CLI::NonNegativeNumber);
+      ->check(CLI::Range(0, kMostPixels));
   command->add_option("--disparity", flags->disparity, "Range of the planes, px per unit of s [the scene's]")
       ->type_name("MIN,MAX");
   add_common_flags(*command, *flags);

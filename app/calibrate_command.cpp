@@ -75,6 +75,7 @@ void print_summary(const Flags& flags, const Calibration& c) {
   if (c.cross_validation_px) fmt::print("left-out boards: rms {:.3f} px\n", *c.cross_validation_px);
   fmt::print("verdict: {}\n", c.good ? "good" : "not good");
   for (const std::string& reason : c.reasons) fmt::print("  {}\n", reason);
+  for (const std::string& note : c.notes) fmt::print("note: {}\n", note);
 }
 
 int run(const Flags& flags) {

@@ -43,7 +43,7 @@ int run(const Flags& flags) {
   const Recording recording = open_recording(flags.recording);
   const Rig rig = read_rig(flags.rig);
   const FrameSet& set = choose_set(recording, flags.set);
-  if (flags.complete && !set.complete()) require_complete(recording);
+  if (flags.complete) require_complete(recording, set);
   AtomicOutput output(flags.output, AtomicOutput::Kind::folder, flags.force);
   const LightField lf = rectify(recording, set, rig, output.path(), options, console_reporter());
   output.commit();

@@ -89,8 +89,8 @@ void set_range(const Flags& flags, const LightField& lf, LiteralOptions& options
   options.d_max = lf.d_max;
   if (!flags.disparity.empty()) {
     std::tie(options.d_min, options.d_max) = parse_pair("--disparity", flags.disparity);
-    if (!(options.d_min <= options.d_max))
-      throw UsageError("--disparity wants MIN,MAX with MIN <= MAX (larger is nearer)");
+    if (!(options.d_min <= options.d_max) || !std::isfinite(options.d_min) || !std::isfinite(options.d_max))
+      throw UsageError("--disparity wants finite MIN,MAX with MIN <= MAX (larger is nearer)");
   } else if (!flags.depth_m.empty()) {
     if (!lf.metric)
       throw UsageError("--depth-m needs metres, which this scene does not have; use --disparity");
@@ -116,7 +116,10 @@ void set_weights(const Flags& flags, LiteralOptions& options) {
 
 /// The focal plane of --mode focal-plane; the middle of the range if none is given.
 double focus_of(const Flags& flags, const LightField& lf) {
-  if (flags.focus_px) return *flags.focus_px;
+  if (flags.focus_px) {
+    if (!std::isfinite(*flags.focus_px)) throw UsageError("--focus-px wants a finite disparity");
+    return *flags.focus_px;
+  }
   if (flags.focus_m) {
     if (!lf.metric) throw UsageError("--focus needs metres, which this scene does not have; use --focus-px");
     if (!(*flags.focus_m > 0)) throw UsageError("--focus wants a depth > 0");
@@ -155,9 +158,19 @@ void write_index(const fs::path& file, const Raster<int>& plane) {
   write_image(file, from_float(values, PixelType::u16));
 }
 
-void write_float(const fs::path& file, const ImageF& values) {
+void write_float(const fs::path& file, const ImageF& values, PixelType type) {
   if (file.extension() == ".pfm") return write_pfm(file, values);
-  write_image(file, from_float(values, PixelType::u8));
+  write_image(file, from_float(values, type));
+}
+
+/// The depth map as a picture: grey by disparity over the range that was searched, near is bright; black
+/// where there is none.
+ImageF depth_preview(const ImageF& disparity, double d_min, double d_max) {
+  ImageF grey = disparity;
+  const double range = std::max(d_max - d_min, 1e-12);
+  for (float& d : grey.data)
+    d = std::isnan(d) ? 0.0F : static_cast<float>(0.1 + 0.9 * std::clamp((d - d_min) / range, 0.0, 1.0));
+  return grey;
 }
 
 /// FILE for a single view, FILE_0000 and so on for a path.
@@ -182,11 +195,25 @@ void check_outputs(const Outputs& files, bool force) {
     if (!file.empty()) check_output(file, force);
 }
 
-void write_outputs(const Outputs& files, const LightField& lf, const RenderedView& view) {
-  write_image(files.colour, from_float(view.colour, lf.type));
-  if (!files.depth.empty()) write_pfm(files.depth, depth_of(lf, view.disparity));
+void write_outputs(const Outputs& files, const LightField& lf, const RenderedView& view,
+                   const LiteralOptions& options) {
+  write_float(files.colour, view.colour, lf.type);
+  if (files.depth.extension() == ".pfm")
+    write_pfm(files.depth, depth_of(lf, view.disparity));
+  else if (!files.depth.empty())
+    write_float(files.depth, depth_preview(view.disparity, options.d_min, options.d_max), PixelType::u8);
   if (!files.index.empty()) write_index(files.index, view.plane);
-  if (!files.confidence.empty()) write_float(files.confidence, view.confidence);
+  if (!files.confidence.empty()) write_float(files.confidence, view.confidence, PixelType::u8);
+}
+
+/// Before any work: that a file of that name can hold what goes into it.
+void check_name(const std::string& flag, const fs::path& file, const std::vector<std::string>& extensions) {
+  if (file.empty()) return;
+  std::string extension = file.extension().string();
+  std::transform(extension.begin(), extension.end(), extension.begin(),
+                 [](unsigned char c) { return std::tolower(c); });
+  if (std::find(extensions.begin(), extensions.end(), extension) == extensions.end())
+    throw UsageError(fmt::format("{} {}: name it {}", flag, file.string(), fmt::join(extensions, ", ")));
 }
 
 void check_usage(const Flags& flags) {
@@ -198,8 +225,10 @@ void check_usage(const Flags& flags) {
     throw UsageError("--disparity and --depth-m exclude each other");
   if ((flags.focus_m || flags.focus_px) && flags.mode != "focal-plane")
     throw UsageError("--focus and --focus-px need --mode focal-plane");
-  if (!flags.depth_out.empty() && flags.depth_out.extension() != ".pfm")
-    throw UsageError("--depth-out writes PFM: name it .pfm");
+  check_name("-o", flags.output, {".png", ".tif", ".tiff", ".jpg", ".jpeg", ".exr", ".pfm"});
+  check_name("--depth-out", flags.depth_out, {".pfm", ".png"});
+  check_name("--index-out", flags.index_out, {".pfm", ".png", ".tif", ".tiff"});
+  check_name("--confidence-out", flags.confidence_out, {".pfm", ".png", ".tif", ".tiff"});
 }
 
 Json statistics_of(const Viewpoint& at, const Outputs& files, const RenderedView& view) {
@@ -233,11 +262,10 @@ int run(const Flags& flags) {
   options.window = flags.window;
   options.k = filter_of(flags.filter);
   set_weights(flags, options);
-  double focus = 0;
   if (all_planes)
     set_range(flags, lf, options);
   else
-    focus = focus_of(flags, lf);
+    options.d_min = options.d_max = focus_of(flags, lf);
   for (std::size_t i = 0; i < viewpoints.size(); ++i) check_outputs(outputs_of(flags, i), flags.force);
 
   const auto renderer = flags.backend == "gl" ? make_gl_renderer(load_views(reader, flags.leave_out))
@@ -247,8 +275,8 @@ int run(const Flags& flags) {
   for (std::size_t i = 0; i < viewpoints.size(); ++i) {
     const Outputs files = outputs_of(flags, i);
     const RenderedView view = all_planes ? all_in_focus(*renderer, viewpoints[i], options, reporter)
-                                         : focal_plane(*renderer, viewpoints[i], focus, options.k);
-    write_outputs(files, lf, view);
+                                         : focal_plane(*renderer, viewpoints[i], options.d_min, options.k);
+    write_outputs(files, lf, view, options);
     views.push_back(statistics_of(viewpoints[i], files, view));
   }
   Json result = {{"scene", flags.scene.string()},
@@ -261,7 +289,7 @@ int run(const Flags& flags) {
     result["window"] = options.window;
     result["disparity_px"] = {options.d_min, options.d_max};
   } else {
-    result["focus_px"] = focus;
+    result["focus_px"] = options.d_min;
   }
   result["views"] = views;
   write_result(flags, result);
@@ -297,9 +325,10 @@ void add_render_command(CLI::App& app, Action& action) {
                    "normal, wide or skipped; all in focus: the filter k of the picture [normal]")
       ->check(CLI::IsMember({"normal", "wide", "skipped"}));
   command->add_option("--method", flags->method, "How to find what is in focus: literal [literal]");
-  command->add_option("--planes", flags->planes, "Number of focal planes N [13]")->check(CLI::PositiveNumber);
+  command->add_option("--planes", flags->planes, "Number of focal planes N [13]")
+      ->check(CLI::Range(1, kMostPlanes));
   command->add_option("--window", flags->window, "Half-width M of the window [7]")
-      ->check(CLI::NonNegativeNumber);
+      ->check(CLI::Range(0, kMostPixels));
   command
       ->add_option("--weights", flags->weights,
                    "a_kl of equation 5: normal and wide, normal and skipped, wide and skipped [1,1,0]")
@@ -310,9 +339,13 @@ void add_render_command(CLI::App& app, Action& action) {
   command->add_option("--leave-out", flags->leave_out, "A camera not to use; may be repeated")
       ->type_name("NAME");
   command->add_option("--backend", flags->backend, "cpu or gl [cpu]")->check(CLI::IsMember({"cpu", "gl"}));
-  command->add_option("--depth-out", flags->depth_out, "Depth [m]; disparity of a scene without metres")
-      ->type_name("FILE.pfm");
-  command->add_option("--index-out", flags->index_out, "Number of the plane; .pfm or 16-bit picture")
+  command
+      ->add_option("--depth-out", flags->depth_out,
+                   "Depth [m]; disparity of a scene without metres. As .png: grey, near is bright")
+      ->type_name("FILE");
+  command
+      ->add_option("--index-out", flags->index_out,
+                   "Number of the plane, 0 is the farthest; .pfm, or 16-bit picture with 65535 for none")
       ->type_name("FILE");
   command->add_option("--confidence-out", flags->confidence_out, "Confidence 0..1; .pfm or picture")
       ->type_name("FILE");

@@ -111,17 +111,19 @@ Recording open_recording(const fs::path& folder) {
   return recording;
 }
 
+void require_complete(const Recording& recording, const FrameSet& set) {
+  if (set.complete()) return;
+  std::vector<std::string> missing;
+  for (std::size_t i = 0; i < set.frames.size(); ++i)
+    if (set.frames[i].status != FrameStatus::ok) missing.push_back(recording.cameras[i].name);
+  throw Error(
+      recording.folder.string(),
+      fmt::format("set {} is incomplete: no good frame of camera {}", set.name, fmt::join(missing, ", ")),
+      "leave --complete away to use incomplete sets too");
+}
+
 void require_complete(const Recording& recording) {
-  for (const FrameSet& set : recording.sets) {
-    if (set.complete()) continue;
-    std::vector<std::string> missing;
-    for (std::size_t i = 0; i < set.frames.size(); ++i)
-      if (set.frames[i].status != FrameStatus::ok) missing.push_back(recording.cameras[i].name);
-    throw Error(
-        recording.folder.string(),
-        fmt::format("set {} is incomplete: no good frame of camera {}", set.name, fmt::join(missing, ", ")),
-        "leave --complete away to use incomplete sets too");
-  }
+  for (const FrameSet& set : recording.sets) require_complete(recording, set);
 }
 
 RecordingWriter::RecordingWriter(const fs::path& folder, int rows, int cols,

@@ -65,7 +65,8 @@ struct Recording {
 /// damaged.
 Recording open_recording(const std::filesystem::path& folder);
 
-/// Throws Error naming the first incomplete set and its missing cameras (for --complete).
+/// For --complete. Throw Error naming the (first) incomplete set and its missing cameras.
+void require_complete(const Recording& recording, const FrameSet& set);
 void require_complete(const Recording& recording);
 
 /// Writes a recording set by set.

@@ -52,6 +52,13 @@ void LatticeChart::fit_affine(const std::vector<View>& cameras) {
   for (int k = 0; k < std::min<int>(usable, static_cast<int>(sigma.size())); ++k)
     if (sigma[k] > 1e-9 * sigma[0] && sigma[k] > 0)
       linear += to.transpose() * svd.matrixU().col(k) * svd.matrixV().col(k).transpose() / sigma[k];
+  // Across a line of cameras the same scale as along it: tells how far off the line a ray crosses.
+  if (n == 1) {
+    linear.setIdentity();
+  } else if (usable == 1) {
+    const Eigen::Vector2d v = svd.matrixV().col(0), along = linear * v;
+    linear += Eigen::Vector2d(-along.y(), along.x()) * Eigen::RowVector2d(-v.y(), v.x());
+  }
   affine_.leftCols<2>() = linear;
   affine_.col(2) = to_mean.transpose() - linear * from_mean.transpose();
 }
@@ -147,10 +154,12 @@ Eigen::Vector2d LatticeChart::position(const Eigen::Vector3d& o, double gx, doub
 }
 
 bool LatticeChart::inside_hull(const Eigen::Vector2d& p) const {
-  const bool free_x = low_.x() == high_.x(), free_y = low_.y() == high_.y();
-  if (!free_x && (p.x() < low_.x() - kSnap || p.x() > high_.x() + kSnap)) return false;
-  if (!free_y && (p.y() < low_.y() - kSnap || p.y() > high_.y() + kSnap)) return false;
-  if (free_x || free_y) return true;
+  const bool one_col = low_.x() == high_.x(), one_row = low_.y() == high_.y();
+  // A line of cameras holds one spacing to both sides; a single camera has none.
+  const double beside = one_col && one_row ? kSnap : 1 + kSnap;
+  const Eigen::Vector2d margin(one_col ? beside : kSnap, one_row ? beside : kSnap);
+  if (((p - low_ + margin).array() < 0).any() || ((high_ - p + margin).array() < 0).any()) return false;
+  if (one_col || one_row) return true;
   for (std::size_t i = 0; i < hull_.size(); ++i) {
     const Eigen::Vector2d edge = hull_[(i + 1) % hull_.size()] - hull_[i];
     if (cross(edge, p - hull_[i]) < -kSnap * edge.norm()) return false;

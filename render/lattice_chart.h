@@ -15,9 +15,9 @@ namespace stuv {
 ///
 /// A: affine, fitted to the cameras' (s, t) -> (col, row); e and w are bilinear over the lattice, holes
 /// filled from their neighbours, clamped outside. Solved by Newton's method, so that a ray through the
-/// centre of camera c, displaced and off the plane as it may be, has exactly p = (col_c, row_c). A row
-/// (column) has no second axis: its p.row (p.col) is constant. Distances to cameras are then measured in
-/// nodes, which makes spacing local.
+/// centre of camera c, displaced and off the plane as it may be, has exactly p = (col_c, row_c). Across
+/// a row (column) p.row (p.col) counts its mean spacings off it; the filters clamp that away. Distances to
+/// cameras are then measured in nodes, which makes spacing local.
 class LatticeChart {
  public:
   /// Newton steps at most; three or four are the rule.
@@ -33,8 +33,8 @@ class LatticeChart {
   double surface_w(const Eigen::Vector2d& p) const { return node_at(p).value.z(); }
   /// All cameras lie in the plane z = 0, so p of a viewpoint in it does not depend on direction.
   bool planar() const { return planar_; }
-  /// Inside the convex hull of the present nodes, or on its boundary. Nodes of one row (column): the interval
-  /// along it, the other axis is free.
+  /// Inside the convex hull of the present nodes, or on its boundary. Nodes of one row (column): beside their
+  /// interval, at most one spacing off it. A single node: on it.
   bool inside_hull(const Eigen::Vector2d& p) const;
 
   int rows() const { return rows_; }

@@ -9,6 +9,7 @@
 #include <regex>
 #include <sstream>
 
+#include "calib/lattice_places.h"
 #include "core/error.h"
 #include "core/files.h"
 
@@ -96,33 +97,6 @@ std::vector<ListedView> list_hci(const fs::path& folder) {
   return views;
 }
 
-double median_nearest_distance(const std::vector<Eigen::Vector2d>& points) {
-  std::vector<double> nearest;
-  for (std::size_t i = 0; i < points.size(); ++i) {
-    double best = std::numeric_limits<double>::infinity();
-    for (std::size_t j = 0; j < points.size(); ++j)
-      if (i != j) best = std::min(best, (points[i] - points[j]).norm());
-    nearest.push_back(best);
-  }
-  std::nth_element(nearest.begin(), nearest.begin() + nearest.size() / 2, nearest.end());
-  return nearest[nearest.size() / 2];
-}
-
-/// Rank of each value's cluster, where sorted neighbours further apart than `gap` part clusters.
-std::vector<int> cluster_ranks(const std::vector<double>& values, double gap, int& count) {
-  std::vector<std::size_t> order(values.size());
-  for (std::size_t i = 0; i < order.size(); ++i) order[i] = i;
-  std::sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) { return values[a] < values[b]; });
-  std::vector<int> ranks(values.size(), 0);
-  int rank = 0;
-  for (std::size_t k = 1; k < order.size(); ++k) {
-    if (values[order[k]] - values[order[k - 1]] > gap) ++rank;
-    ranks[order[k]] = rank;
-  }
-  count = rank + 1;
-  return ranks;
-}
-
 }  // namespace
 
 std::vector<ListedView> list_views(const fs::path& source, ViewLayout layout) {
@@ -149,19 +123,15 @@ std::vector<ListedView> list_views(const fs::path& source, ViewLayout layout) {
 void place_on_lattice(LightField& lf, const std::string& source) {
   const std::vector<int> inputs = lf.views_with(ViewRole::input);
   std::vector<Eigen::Vector2d> points;
-  std::vector<double> s, t;
-  for (const int i : inputs) {
-    points.emplace_back(lf.views[i].s, lf.views[i].t);
-    s.push_back(lf.views[i].s);
-    t.push_back(lf.views[i].t);
-  }
-  const double gap = points.size() > 1 ? 0.5 * median_nearest_distance(points) : 1.0;
-  const std::vector<int> cols = cluster_ranks(s, gap, lf.cols), rows = cluster_ranks(t, gap, lf.rows);
+  for (const int i : inputs) points.emplace_back(lf.views[i].s, lf.views[i].t);
+  const LatticePlaces places = places_on_lattice(points);
+  lf.rows = places.rows;
+  lf.cols = places.cols;
   std::map<std::pair<int, int>, std::string> taken;
   for (std::size_t k = 0; k < inputs.size(); ++k) {
     View& view = lf.views[inputs[k]];
-    view.row = rows[k];
-    view.col = cols[k];
+    view.row = places.row[k];
+    view.col = places.col[k];
     const auto [place, fresh] = taken.insert({{view.row, view.col}, view.name});
     if (!fresh)
       throw Error(source,

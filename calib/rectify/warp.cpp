@@ -69,28 +69,61 @@ double cos_of_field(const Camera& camera) {
   return std::cos(std::min(leaves + 0.02, turns));
 }
 
-bool masked_out(const Image& image, int x, int y) {
-  if (image.mask.empty()) return false;
-  for (int j = y; j <= std::min(y + 1, image.height - 1); ++j)
-    for (int i = x; i <= std::min(x + 1, image.width - 1); ++i)
-      if (image.mask.at(i, j) == 0) return true;
-  return false;
+/// The picture as float, and 1 where its pixels are there: neither masked nor, in float pictures, NaN or Inf.
+/// `there` is empty if all are. Missing pixels are 0.
+struct Source {
+  ImageF pixels, there;
+};
+
+Source source_of(const Image& image) {
+  Source in{to_float(image), {}};
+  const std::size_t n = static_cast<std::size_t>(image.width) * image.height;
+  for (std::size_t i = 0; i < n; ++i) {
+    float* pixel = in.pixels.data.data() + i * image.channels;
+    const bool good = (image.mask.empty() || image.mask.data[i] != 0) &&
+                      std::all_of(pixel, pixel + image.channels, [](float v) { return std::isfinite(v); });
+    if (good) continue;
+    if (in.there.empty()) in.there = ImageF(image.width, image.height, 1, 1.0F);
+    in.there.data[i] = 0;
+    std::fill_n(pixel, image.channels, 0.0F);
+  }
+  return in;
 }
 
-void interpolate(const ImageF& in, const Eigen::Vector2d& q, int x0, int y0, float* out) {
+/// All four pixels around a position are there.
+bool surrounded(const ImageF& there, int x, int y) {
+  for (int j = y; j <= std::min(y + 1, there.height - 1); ++j)
+    for (int i = x; i <= std::min(x + 1, there.width - 1); ++i)
+      if (there.at(i, j) == 0) return false;
+  return true;
+}
+
+struct Taps {
+  Weights wx, wy;
+  std::array<int, kTaps> x, y;
+};
+
+Taps taps_at(const ImageF& in, const Eigen::Vector2d& q, int x0, int y0) {
   const auto& table = lanczos_table();
-  const Weights& wx = table[static_cast<std::size_t>(std::lround((q.x() - x0) * kPhases))];
-  const Weights& wy = table[static_cast<std::size_t>(std::lround((q.y() - y0) * kPhases))];
-  std::array<std::size_t, kTaps> columns;
-  for (int k = 0; k < kTaps; ++k)
-    columns[k] = static_cast<std::size_t>(std::clamp(x0 + k - kRadius + 1, 0, in.width - 1)) * in.channels;
+  Taps taps{table[static_cast<std::size_t>(std::lround((q.x() - x0) * kPhases))],
+            table[static_cast<std::size_t>(std::lround((q.y() - y0) * kPhases))],
+            {},
+            {}};
+  for (int k = 0; k < kTaps; ++k) {
+    taps.x[k] = std::clamp(x0 + k - kRadius + 1, 0, in.width - 1);
+    taps.y[k] = std::clamp(y0 + k - kRadius + 1, 0, in.height - 1);
+  }
+  return taps;
+}
+
+void interpolate(const ImageF& in, const Taps& taps, float* out) {
   for (int c = 0; c < in.channels; ++c) {
     float sum = 0;
     for (int j = 0; j < kTaps; ++j) {
-      const float* row = in.row(std::clamp(y0 + j - kRadius + 1, 0, in.height - 1)) + c;
+      const float* row = in.row(taps.y[j]) + c;
       float line = 0;
-      for (int k = 0; k < kTaps; ++k) line += wx[k] * row[columns[k]];
-      sum += wy[j] * line;
+      for (int k = 0; k < kTaps; ++k) line += taps.wx[k] * row[taps.x[k] * in.channels];
+      sum += taps.wy[j] * line;
     }
     out[c] = sum;
   }
@@ -99,11 +132,11 @@ void interpolate(const ImageF& in, const Eigen::Vector2d& q, int x0, int y0, flo
 }  // namespace
 
 Image warp_to_common_view(const Image& image, const Camera& camera, const CommonView& view) {
-  const ImageF in = to_float(image);
+  const Source in = source_of(image);
   ImageF out(view.width, view.height, image.channels);
   Mask mask(view.width, view.height, 1);
   const double cos_limit = cos_of_field(camera);
-  const Eigen::Vector2d last(in.width - 1, in.height - 1);
+  const Eigen::Vector2d last(image.width - 1, image.height - 1);
   parallel_for(view.height, [&](int y) {
     std::vector<Eigen::Vector3d> rays(view.width);
     for (int x = 0; x < view.width; ++x)
@@ -117,8 +150,16 @@ Image warp_to_common_view(const Image& image, const Camera& camera, const Common
       // Rounding must not take a border away from a camera that is the common view itself.
       if (!((q - pixels[x]).norm() < 1e-6)) continue;
       const int x0 = static_cast<int>(q.x()), y0 = static_cast<int>(q.y());
-      if (masked_out(image, x0, y0)) continue;
-      interpolate(in, q, x0, y0, out.row(y) + static_cast<std::size_t>(x) * out.channels);
+      if (!in.there.empty() && !surrounded(in.there, x0, y0)) continue;
+      const Taps taps = taps_at(in.pixels, q, x0, y0);
+      float* pixel = out.row(y) + static_cast<std::size_t>(x) * out.channels;
+      interpolate(in.pixels, taps, pixel);
+      if (!in.there.empty()) {
+        // Missing pixels added 0: the weight of the others is made 1 again.
+        float weight = 0;
+        interpolate(in.there, taps, &weight);
+        for (int c = 0; c < out.channels; ++c) pixel[c] /= weight;
+      }
       mask.at(x, y) = 255;
     }
   });

@@ -12,8 +12,9 @@ namespace stuv {
 ///
 /// L(d) = sinc(d) sinc(d / 3), |d| < 3 [px]; R: cam_from_rig's rotation (a camera's centre stays, so depth
 /// does not matter). Taps beyond the border repeat it. A pixel is missing (mask 0, value 0) where q lies
-/// outside the picture or beyond the angle of view of its corners, where lens models fold back, or on masked
-/// pixels. Returns an image of the common view's size and the input's type.
+/// outside the picture or beyond the angle of view of its corners, where lens models fold back, or where one
+/// of the four pixels around q is masked, NaN or Inf; further away such pixels are left out of both sums.
+/// Returns an image of the common view's size and the input's type.
 Image warp_to_common_view(const Image& image, const Camera& camera, const CommonView& view);
 
 }  // namespace stuv

@@ -186,6 +186,21 @@ void judge(Calibration& c, const CalibrationOptions& options) {
   c.good = c.reasons.empty();
 }
 
+void note(Calibration& c, const Recording& recording) {
+  if (!c.layout.as_recorded)
+    c.notes.push_back(
+        fmt::format("the recorded grid, {}x{}, does not fit where the cameras stand; rows and columns are "
+                    "counted along their centres: {}x{}",
+                    recording.rows, recording.cols, c.layout.rows, c.layout.cols));
+  // Corners of boards that were part of the solve are predicted at their noise; of others by what the solve
+  // has learnt of lenses and places.
+  if (c.cross_validation_px && *c.cross_validation_px > 5 * c.solution.rms_px)
+    c.notes.push_back(
+        fmt::format("a board that was left out is predicted to {:.2f} px only, the boards of the solve to "
+                    "{:.2f}: record more boards, tilted and out to the pictures' corners",
+                    *c.cross_validation_px, c.solution.rms_px));
+}
+
 }  // namespace
 
 Eigen::MatrixXd rigidly_aligned(const Eigen::MatrixXd& covariance,
@@ -230,6 +245,7 @@ Calibration calibrate(Observations observations, const Recording& recording,
   fill_rig(c, determined);
   c.cross_validation_px = cross_validate(c, options, reporter);
   judge(c, options);
+  note(c, recording);
   return c;
 }
 

@@ -38,6 +38,7 @@ struct Calibration {
   std::optional<double> cross_validation_px;
   bool good = false;
   std::vector<std::string> reasons;  ///< why it is not good
+  std::vector<std::string> notes;    ///< what is worth knowing though the verdict does not hang on it
 };
 
 /// The whole chain from corners to rig: seed_solve, joint_solve, fit_layout, uncertainty, cross-validation,

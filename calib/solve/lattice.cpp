@@ -7,6 +7,9 @@
 #include <array>
 #include <cmath>
 #include <limits>
+#include <set>
+
+#include "calib/lattice_places.h"
 
 namespace stuv {
 namespace {
@@ -183,9 +186,12 @@ void refine(const std::vector<PlacedCamera>& cameras, const Means& means, const 
   layout.t_step_m = {u.t[0], u.t[1]};
 }
 
-}  // namespace
+double spacing_of(const Layout& layout) {
+  const double s = layout.s_step_m.norm(), t = layout.t_step_m.norm();
+  return s > 0 && t > 0 ? std::min(s, t) : std::max(s, t);
+}
 
-Layout fit_layout(const std::vector<PlacedCamera>& cameras, int rows, int cols) {
+Layout fit_counted(const std::vector<PlacedCamera>& cameras, int rows, int cols) {
   Layout layout;
   layout.rows = rows;
   layout.cols = cols;
@@ -213,6 +219,68 @@ Layout fit_layout(const std::vector<PlacedCamera>& cameras, int rows, int cols) 
     if (cameras[i].determined) sum_sq += std::pow(layout.off_lattice_m[i].z(), 2);
   }
   layout.rms_off_plane_m = std::sqrt(sum_sq / static_cast<double>(determined));
+  return layout;
+}
+
+/// Every camera within half a spacing of its lattice point, and s where the cameras' right is.
+bool fits(const Layout& layout, const std::vector<PlacedCamera>& cameras) {
+  const double most_m = 0.5 * spacing_of(layout);
+  for (std::size_t i = 0; i < cameras.size(); ++i)
+    if (cameras[i].determined && !(layout.off_lattice_m[i].norm() < most_m)) return false;
+  const Eigen::Vector3d right = layout.rig_from_ref.R * means_of(cameras).right;
+  return right.x() > std::abs(right.y());
+}
+
+/// Rows and columns counted along the centres as the cameras see them. Cameras that are not determined take
+/// no part and get the place that their centre is nearest to.
+std::vector<PlacedCamera> recount(std::vector<PlacedCamera> cameras, int& rows, int& cols) {
+  const Means means = means_of(cameras);
+  const Eigen::Vector3d x = (means.right - means.right.dot(means.forward) * means.forward).normalized();
+  const Eigen::Vector3d y = means.forward.cross(x);
+  std::vector<Eigen::Vector2d> points;
+  std::vector<std::size_t> which;
+  for (std::size_t i = 0; i < cameras.size(); ++i) {
+    if (!cameras[i].determined) continue;
+    const Eigen::Vector3d c = cameras[i].cam_from_ref.centre() - means.centre;
+    points.emplace_back(x.dot(c), y.dot(c));
+    which.push_back(i);
+  }
+  const Eigen::Rotation2Dd turn(-lattice_angle(points));
+  for (Eigen::Vector2d& p : points) p = turn * p;
+  const LatticePlaces places = places_on_lattice(points);
+  rows = places.rows;
+  cols = places.cols;
+  for (PlacedCamera& camera : cameras) {
+    const Eigen::Vector3d c = camera.cam_from_ref.centre() - means.centre;
+    const Eigen::Vector2d at = turn * Eigen::Vector2d(x.dot(c), y.dot(c));
+    std::size_t nearest = 0;
+    for (std::size_t k = 1; k < points.size(); ++k)
+      if ((points[k] - at).squaredNorm() < (points[nearest] - at).squaredNorm()) nearest = k;
+    camera.row = places.row[nearest];
+    camera.col = places.col[nearest];
+  }
+  return cameras;
+}
+
+bool places_differ(const std::vector<PlacedCamera>& cameras) {
+  std::set<std::pair<int, int>> taken;
+  for (const PlacedCamera& c : cameras)
+    if (c.determined && !taken.emplace(c.row, c.col).second) return false;
+  return true;
+}
+
+}  // namespace
+
+Layout fit_layout(const std::vector<PlacedCamera>& cameras, int rows, int cols) {
+  Layout recorded = fit_counted(cameras, rows, cols);
+  const auto determined =
+      std::count_if(cameras.begin(), cameras.end(), [](const auto& c) { return c.determined; });
+  if (determined < 2 || fits(recorded, cameras)) return recorded;
+  const std::vector<PlacedCamera> counted = recount(cameras, rows, cols);
+  if (!places_differ(counted)) return recorded;
+  Layout layout = fit_counted(counted, rows, cols);
+  if (!fits(layout, counted)) return recorded;
+  layout.as_recorded = false;
   return layout;
 }
 

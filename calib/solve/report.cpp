@@ -50,6 +50,7 @@ Json report_json(const Calibration& c, double seconds, double seconds_corners) {
             {"spacing_m", {spacing(c.rig.s_step_m), spacing(c.rig.t_step_m)}}}},
           {"cross_validation_px", c.cross_validation_px ? number(*c.cross_validation_px) : Json(nullptr)},
           {"verdict", {{"good", c.good}, {"reasons", c.reasons}}},
+          {"notes", c.notes},
           {"seconds", seconds},
           {"seconds_corners", seconds_corners}};
 }

@@ -38,6 +38,7 @@ void add_verdict(Page& page, const Calibration& c) {
   if (!c.reasons.empty()) page.add("<ul>");
   for (const std::string& reason : c.reasons) page.add("<li>{}</li>", escaped(reason));
   if (!c.reasons.empty()) page.add("</ul>\n");
+  for (const std::string& note : c.notes) page.add("<p>Note: {}</p>\n", escaped(note));
   const JointSolution& s = c.solution;
   page.add(
       "<p>rms {:.3f} px over {} corners in {} views of the board; {} outliers ({:.1f} %); worst inlier "

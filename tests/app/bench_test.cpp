@@ -1,10 +1,12 @@
 #include <cmath>
 
+#include "core/image_io.h"
 #include "core/json.h"
 #include "tests/support/support.h"
 
 using namespace stuv;
 using Catch::Contains;
+namespace fs = std::filesystem;
 
 namespace {
 
@@ -63,4 +65,34 @@ TEST_CASE("bench refuses what it does not have") {
   const auto missing = test::run_stuv("bench " + (folder / "none").string() + " -o " + out);
   CHECK(missing.exit_code == 1);
   CHECK(test::line_count(missing.err) == 1);
+}
+
+TEST_CASE("bench: a border that leaves nothing, truths outside, memory of each row") {
+  const test::TempFolder folder;
+  fs::create_directory(folder / "in");
+  for (const char* name : {"a", "b", "c"})
+    write_image(folder / "in" / (std::string(name) + ".png"),
+                from_float(ImageF(16, 12, 3, 0.5F), PixelType::u8));
+  const auto import_with = [&](const std::string& truth) {
+    write_text(folder / "in/views.csv", "file,s,t,role\na.png,0,0,input\nb.png,1,0,input\n" + truth);
+    const std::string scene = (folder / "scene").string();
+    REQUIRE(test::run_stuv("import " + (folder / "in/views.csv").string() + " -o " + scene +
+                           " --force --disparity=-1,1")
+                .exit_code == 0);
+    return "bench " + scene + " -o " + (folder / "b.json").string() + " --force ";
+  };
+  const auto outside = test::run_stuv(import_with("c.png,3,0,truth\n"));
+  CHECK(outside.exit_code == 1);
+  CHECK_THAT(outside.err, Contains("no truth view between"));
+  const std::string bench = import_with("c.png,0.5,0,truth\n");
+  CHECK(test::run_stuv(bench + "--border 6").exit_code == 2);
+  REQUIRE(test::run_stuv(bench + "--planes 3,4 --window 1 --backend cpu,gl").exit_code == 0);
+  const Json rows = read_json(folder / "b.json")["rows"];
+  REQUIRE(rows.size() == 4);
+  for (const Json& row : rows) {
+    CHECK(row["peak_mb"] > 1);
+    CHECK(row["psnr_db"].is_null());  // equal pictures: infinite, which JSON does not hold
+  }
+  // The first row knows nothing of what OpenGL takes later.
+  CHECK(rows[0]["peak_mb"] < rows[2]["peak_mb"]);
 }

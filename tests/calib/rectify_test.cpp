@@ -116,6 +116,45 @@ TEST_CASE("lens models that fold back bring no ghost of the picture") {
   CHECK(torn == 0);
 }
 
+TEST_CASE("missing pixels bleed into nothing") {
+  const Camera camera = camera_with({0.01, 0.02, 0});
+  for (const float bad : {1e6F, std::nanf(""), INFINITY}) {
+    ImageF pixels(320, 240, 3, 0.25F);
+    Image image;
+    for (int y = 100; y < 108; ++y)
+      for (int x = 100; x < 108; ++x)
+        for (int c = 0; c < 3; ++c) pixels.at(x, y, c) = bad;
+    image = from_float(pixels, PixelType::f32);
+    if (std::isfinite(bad)) {
+      image.mask = Mask(320, 240, 1, 255);
+      for (int y = 100; y < 108; ++y)
+        for (int x = 100; x < 108; ++x) image.mask.at(x, y) = 0;
+    } else {
+      for (int y = 100; y < 108; ++y)  // from_float may have made NaN a number
+        for (int x = 100; x < 108; ++x) {
+          const std::size_t at = (static_cast<std::size_t>(y) * 320 + x) * 3;
+          std::copy_n(reinterpret_cast<const std::byte*>(&bad), sizeof bad,
+                      image.bytes.data() + at * sizeof bad);
+        }
+    }
+    CommonView view{300, 159.5, 119.5, 320, 240};
+    const Image warped = warp_to_common_view(image, camera, view);
+    const ImageF out = to_float(warped);
+    int missing = 0;
+    for (int y = 0; y < 240; ++y)
+      for (int x = 0; x < 320; ++x) {
+        const bool there = warped.mask.at(x, y) != 0;
+        missing += x > 60 && x < 260 && y > 60 && y < 200 && !there ? 1 : 0;
+        for (int c = 0; c < 3; ++c) {
+          if (there) REQUIRE(out.at(x, y, c) == Approx(0.25).margin(1e-5));
+          if (!there) REQUIRE(out.at(x, y, c) == 0);
+        }
+      }
+    CHECK(missing >= 81);
+    CHECK(missing <= 130);
+  }
+}
+
 TEST_CASE("masked pixels stay missing") {
   const Camera camera = camera_with({0, 0, 0});
   Image image = from_float(ImageF(320, 240, 3, 0.5F), PixelType::u16);

@@ -106,3 +106,24 @@ TEST_CASE("Weights add up to 1 everywhere, holes and outside included") {
     }
   }
 }
+
+TEST_CASE("Beside a row of cameras the hull ends one spacing off; a single camera is its own hull") {
+  const auto inside = [](const ViewSet& set, double s, double t) {
+    const LatticeChart chart(set.lf.rows, set.lf.cols, set.cameras);
+    return chart.inside_hull(chart.position({s, t, 0}, 0, 0));
+  };
+  auto row = make_views({.rows = 1, .cols = 5, .jitter = 0.02});
+  auto column = make_views({.rows = 5, .cols = 1, .jitter = 0.02});
+  for (const double off : {0.0, 0.9, -0.9, 1.2, -1.2, 40.0}) {
+    CHECK(inside(*row, 2.3, off) == (std::abs(off) < 1));
+    CHECK(inside(*column, off, 2.3) == (std::abs(off) < 1));
+  }
+  CHECK_FALSE(inside(*row, 4.2, 0));
+  // Off the row the place along it stays, but for the jitter's tilt of the row.
+  const LatticeChart chart(1, 5, row->cameras);
+  CHECK(chart.position({2.3, 0.7, 0}, 0, 0).x() ==
+        Approx(chart.position({2.3, 0, 0}, 0, 0).x()).margin(0.01));
+  const auto one = make_views({.rows = 1, .cols = 1});
+  CHECK(inside(*one, one->cameras[0].s, one->cameras[0].t));
+  CHECK_FALSE(inside(*one, one->cameras[0].s + 0.1, one->cameras[0].t));
+}
