@@ -159,11 +159,7 @@ LiteralOptions options_of(const Flags& flags, const LightField& lf) {
   options.window = flags.window;
   options.d_min = lf.d_min;
   options.d_max = lf.d_max;
-  if (!flags.disparity.empty()) {
-    std::tie(options.d_min, options.d_max) = parse_pair("--disparity", flags.disparity);
-    if (!(options.d_min <= options.d_max) || !std::isfinite(options.d_min) || !std::isfinite(options.d_max))
-      throw UsageError("--disparity wants finite MIN,MAX with MIN <= MAX (larger is nearer)");
-  }
+  if (!flags.disparity.empty()) std::tie(options.d_min, options.d_max) = parse_disparity(flags.disparity);
   if (!(options.d_min <= options.d_max))
     throw Error(flags.scene.string(), "has no depth range", "give --disparity MIN,MAX");
   if (2 * flags.border >= std::min(lf.width, lf.height))

@@ -100,6 +100,13 @@ std::pair<double, double> parse_pair(const std::string& flag, const std::string&
   return {a, b};
 }
 
+std::pair<double, double> parse_disparity(const std::string& text) {
+  const auto range = parse_pair("--disparity", text);
+  if (!(range.first <= range.second) || !std::isfinite(range.first) || !std::isfinite(range.second))
+    throw UsageError("--disparity wants finite MIN,MAX with MIN <= MAX (larger is nearer)");
+  return range;
+}
+
 std::pair<int, int> parse_size(const std::string& flag, const std::string& text) {
   const std::size_t x = text.find('x');
   int a = 0, b = 0;

@@ -34,6 +34,8 @@ Reporter console_reporter();
 /// "A,B" to two numbers, "ROWSxCOLS" or "WxH" to two whole numbers > 0. Throw UsageError naming the flag.
 std::pair<double, double> parse_pair(const std::string& flag, const std::string& text);
 std::pair<int, int> parse_size(const std::string& flag, const std::string& text);
+/// --disparity MIN,MAX: finite, MIN <= MAX.
+std::pair<double, double> parse_disparity(const std::string& text);
 /// Bounds of whole-number options, so that help and errors stay readable.
 inline constexpr int kMostPlanes = 100'000, kMostPixels = 100'000;
 /// "a,b,c" to its parts; empty parts are an error of the flag.

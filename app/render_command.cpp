@@ -88,9 +88,7 @@ void set_range(const Flags& flags, const LightField& lf, LiteralOptions& options
   options.d_min = lf.d_min;
   options.d_max = lf.d_max;
   if (!flags.disparity.empty()) {
-    std::tie(options.d_min, options.d_max) = parse_pair("--disparity", flags.disparity);
-    if (!(options.d_min <= options.d_max) || !std::isfinite(options.d_min) || !std::isfinite(options.d_max))
-      throw UsageError("--disparity wants finite MIN,MAX with MIN <= MAX (larger is nearer)");
+    std::tie(options.d_min, options.d_max) = parse_disparity(flags.disparity);
   } else if (!flags.depth_m.empty()) {
     if (!lf.metric)
       throw UsageError("--depth-m needs metres, which this scene does not have; use --disparity");
