@@ -213,12 +213,12 @@ void add_bench_command(CLI::App& app, Action& action) {
   command->add_option("--methods", flags->methods, "Methods, separated by commas [literal]");
   command->add_option("--planes", flags->planes, "Numbers of focal planes [13]");
   command->add_option("--window", flags->window, "M: windows have (2M + 1)^2 pixels [7]")
-      ->check(CLI::Range(0, kMostPixels));
+      ->check(CLI::Range(0, kMostCount));
   command->add_option("--backend", flags->backends, "cpu, gl or both [cpu]");
   command->add_option("--views", flags->views, "Compare K of the held-out views, spread evenly [all]")
-      ->check(CLI::Range(0, kMostPixels));
+      ->check(CLI::Range(0, kMostCount));
   command->add_option("--border", flags->border, "Pixels left out at every side [0]")
-      ->check(CLI::Range(0, kMostPixels));
+      ->check(CLI::Range(0, kMostCount));
   command->add_option("--disparity", flags->disparity, "Range of the planes, px per unit of s [the scene's]")
       ->type_name("MIN,MAX");
   add_common_flags(*command, *flags);

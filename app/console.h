@@ -36,8 +36,8 @@ std::pair<double, double> parse_pair(const std::string& flag, const std::string&
 std::pair<int, int> parse_size(const std::string& flag, const std::string& text);
 /// --disparity MIN,MAX: finite, MIN <= MAX.
 std::pair<double, double> parse_disparity(const std::string& text);
-/// Bounds of whole-number options, so that help and errors stay readable.
-inline constexpr int kMostPlanes = 100'000, kMostPixels = 100'000;
+/// Bound of whole-number options (planes, views, pixels), so that help and errors stay readable.
+inline constexpr int kMostCount = 100'000;
 /// "a,b,c" to its parts; empty parts are an error of the flag.
 std::vector<std::string> parse_list(const std::string& flag, const std::string& text);
 

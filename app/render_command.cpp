@@ -324,9 +324,9 @@ void add_render_command(CLI::App& app, Action& action) {
       ->check(CLI::IsMember({"normal", "wide", "skipped"}));
   command->add_option("--method", flags->method, "How to find what is in focus: literal [literal]");
   command->add_option("--planes", flags->planes, "Number of focal planes N [13]")
-      ->check(CLI::Range(1, kMostPlanes));
+      ->check(CLI::Range(1, kMostCount));
   command->add_option("--window", flags->window, "Half-width M of the window [7]")
-      ->check(CLI::Range(0, kMostPixels));
+      ->check(CLI::Range(0, kMostCount));
   command
       ->add_option("--weights", flags->weights,
                    "a_kl of equation 5: normal and wide, normal and skipped, wide and skipped [1,1,0]")

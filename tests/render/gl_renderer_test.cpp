@@ -125,3 +125,5 @@ void check_scene(const char* list, const std::string& range) {
 
 TEST_CASE("OpenGL makes the CPU's pictures of the knights") { check_scene("knights/views.csv", "-347,231"); }
 TEST_CASE("OpenGL makes the CPU's pictures of dino") { check_scene("hci/dino/views.csv", "-2.5,2.5"); }
+TEST_CASE("OpenGL makes the CPU's pictures of the shop") { check_scene("shop/views.csv", "0,276"); }
+TEST_CASE("OpenGL makes the CPU's pictures of cotton") { check_scene("hci/cotton/views.csv", "-2.5,2.5"); }

@@ -39,13 +39,16 @@ TEST_CASE("stuv render: outputs, wrong usage, and nothing overwritten") {
         "--disparity 1,3 --at 0", "--disparity 3,1", "--disparity 1,3 --leave-out nobody", "--depth-m 1,2",
         "--disparity 1,inf", "--disparity nan,3", "--mode focal-plane --focus-px inf",
         "--disparity 1,3 --planes 0", "--disparity 1,3 --window -1", "--disparity 1,3 --index-out a.jpg",
-        "--disparity 1,3 --depth-out a.exr", "--disparity 1,3 -o picture.xyz",
-        "--disparity 1,3 --path p.csv --at 0,0"}) {
+        "--disparity 1,3 --depth-out a.exr", "--disparity 1,3 --path p.csv --at 0,0"}) {
     const ProgramResult result = run_stuv(render + wrong);
     INFO(wrong << ": " << result.err);
     CHECK(result.exit_code == 2);
     CHECK(line_count(result.err) == 1);
   }
+  const ProgramResult unknown =
+      run_stuv("render " + lf.folder.string() + " --disparity 1,3 -o " + (folder / "out.xyz").string());
+  CHECK(unknown.exit_code == 2);
+  CHECK(unknown.err.find("out.xyz") != std::string::npos);
   const std::string depth = (folder / "depth.pfm").string();
   REQUIRE(run_stuv(render + "--disparity -1,5 --planes 7 --leave-out 0_0 --depth-out " + depth).exit_code ==
           0);
