@@ -10,8 +10,8 @@
 #include "core/error.h"
 #include "core/files.h"
 #include "render/all_in_focus.h"
-#include "render/gl/gl_renderer.h"
 #include "render/metrics.h"
+#include "render/renderer.h"
 
 namespace stuv {
 namespace {
@@ -19,7 +19,7 @@ namespace {
 struct Flags : CommonFlags {
   std::filesystem::path scene, output;
   std::string methods = "literal", planes = "13", backends = "cpu", disparity;
-  int window = LiteralOptions{}.window, views = 0, border = 0;
+  int window = RenderOptions{}.window, views = 0, border = 0;
 };
 
 /// The views to compare with: held-out truths within the inputs' bounding box, or, without any, the inputs in
@@ -69,11 +69,6 @@ double quantile(std::vector<double> values, double q) {
   return values[static_cast<std::size_t>(std::lround(q * static_cast<double>(values.size() - 1)))];
 }
 
-std::unique_ptr<FocalPlaneRenderer> renderer_of(const std::string& backend,
-                                                std::shared_ptr<const ViewSet> views) {
-  return backend == "gl" ? make_gl_renderer(std::move(views)) : make_cpu_renderer(std::move(views));
-}
-
 /// Forgets the process's peak of resident memory, where the kernel lets us.
 void reset_peak_memory() { std::ofstream("/proc/self/clear_refs") << 5; }
 
@@ -94,13 +89,13 @@ Viewpoint viewpoint_of(const LightField& lf, const View& view) {
 
 struct Case {
   std::string method, backend;
-  LiteralOptions options;
+  RenderOptions options;
 };
 
 Json measure(const LightFieldReader& reader, const Case& c, const Flags& flags, const Reporter& reporter) {
   const LightField& lf = reader.light_field();
   const std::vector<int> compared = compared_views(lf, flags.views);
-  std::unique_ptr<FocalPlaneRenderer> renderer;
+  std::unique_ptr<Renderer> renderer;
   std::vector<double> ms;
   double psnr = 0, similarity = 0, evaluated = 0;
   reset_peak_memory();
@@ -109,9 +104,12 @@ Json measure(const LightFieldReader& reader, const Case& c, const Flags& flags, 
     const bool leave_out = truth.role == ViewRole::input;
     // Views that are held out anyway share one renderer: its views are then loaded once.
     if (!renderer || leave_out)
-      renderer = renderer_of(
-          c.backend, load_views(reader, leave_out ? std::vector{truth.name} : std::vector<std::string>{}));
-    const RenderedView view = all_in_focus(*renderer, viewpoint_of(lf, truth), c.options);
+      renderer = make_renderer(method_from_name(c.method), backend_from_name(c.backend), reader,
+                               leave_out ? std::vector{truth.name} : std::vector<std::string>{});
+    // Each view on its own: pixels in memory, nothing known from the view before.
+    renderer->load(viewpoint_of(lf, truth), c.options);
+    renderer->forget();
+    const RenderedView view = renderer->all_in_focus(viewpoint_of(lf, truth), c.options);
     const ImageF expected = reader.read(i).colour;
     ms.push_back(view.statistics.milliseconds);
     psnr += psnr_db(view.colour, expected, flags.border);
@@ -154,8 +152,8 @@ void print_row(const Json& row) {
              number("ssim"), number("evaluated_fraction"), number("peak_mb"));
 }
 
-LiteralOptions options_of(const Flags& flags, const LightField& lf) {
-  LiteralOptions options;
+RenderOptions options_of(const Flags& flags, const LightField& lf) {
+  RenderOptions options;
   options.window = flags.window;
   options.d_min = lf.d_min;
   options.d_max = lf.d_max;
@@ -171,8 +169,8 @@ LiteralOptions options_of(const Flags& flags, const LightField& lf) {
 int run(const Flags& flags) {
   const std::vector<std::string> methods = parse_list("--methods", flags.methods);
   for (const std::string& method : methods)
-    if (method != "literal")
-      throw UsageError(fmt::format("--methods: there is no '{}'; this version has: literal", method));
+    if (method != "literal" && method != "exact" && method != "fast")
+      throw UsageError(fmt::format("--methods: there is no '{}'; literal, exact, fast", method));
   const std::vector<std::string> backends = parse_list("--backend", flags.backends);
   for (const std::string& backend : backends)
     if (backend != "cpu" && backend != "gl")

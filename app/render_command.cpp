@@ -11,7 +11,7 @@
 #include "core/files.h"
 #include "core/image_io.h"
 #include "render/all_in_focus.h"
-#include "render/gl/gl_renderer.h"
+#include "render/renderer.h"
 
 namespace stuv {
 namespace {
@@ -21,9 +21,9 @@ namespace fs = std::filesystem;
 struct Flags : CommonFlags {
   fs::path scene, output, path, depth_out, index_out, confidence_out;
   std::string at, size, disparity, depth_m, weights;
-  std::string mode = "all-in-focus", filter = "normal", method = "literal", backend = "cpu";
+  std::string mode = "all-in-focus", filter = "normal", method = "exact", backend = "cpu";
   std::optional<double> focus_m, focus_px;
-  int planes = LiteralOptions{}.planes, window = LiteralOptions{}.window;
+  int planes = RenderOptions{}.planes, window = RenderOptions{}.window;
   std::vector<std::string> leave_out;
 };
 
@@ -84,7 +84,7 @@ std::vector<Viewpoint> viewpoints_of(const Flags& flags, const LightField& lf) {
   return views;
 }
 
-void set_range(const Flags& flags, const LightField& lf, LiteralOptions& options) {
+void set_range(const Flags& flags, const LightField& lf, RenderOptions& options) {
   options.d_min = lf.d_min;
   options.d_max = lf.d_max;
   if (!flags.disparity.empty()) {
@@ -101,7 +101,7 @@ void set_range(const Flags& flags, const LightField& lf, LiteralOptions& options
   }
 }
 
-void set_weights(const Flags& flags, LiteralOptions& options) {
+void set_weights(const Flags& flags, RenderOptions& options) {
   if (flags.weights.empty()) return;
   const std::vector<std::string> a = parse_list("--weights", flags.weights);
   if (a.size() != 3) throw UsageError(fmt::format("--weights wants A01,A02,A12, not '{}'", flags.weights));
@@ -123,7 +123,7 @@ double focus_of(const Flags& flags, const LightField& lf) {
     if (!(*flags.focus_m > 0)) throw UsageError("--focus wants a depth > 0");
     return lf.disparity(1 / *flags.focus_m);
   }
-  LiteralOptions range;
+  RenderOptions range;
   set_range(flags, lf, range);
   return (range.d_min + range.d_max) / 2;
 }
@@ -194,7 +194,7 @@ void check_outputs(const Outputs& files, bool force) {
 }
 
 void write_outputs(const Outputs& files, const LightField& lf, const RenderedView& view,
-                   const LiteralOptions& options) {
+                   const RenderOptions& options) {
   write_float(files.colour, view.colour, lf.type);
   if (files.depth.extension() == ".pfm")
     write_pfm(files.depth, depth_of(lf, view.disparity));
@@ -215,8 +215,6 @@ void check_name(const std::string& flag, const fs::path& file, const std::vector
 }
 
 void check_usage(const Flags& flags) {
-  if (flags.method != "literal")
-    throw UsageError(fmt::format("--method {}: there is only literal as yet", flags.method));
   if (!flags.at.empty() && !flags.path.empty()) throw UsageError("--at and --path exclude each other");
   if (flags.focus_m && flags.focus_px) throw UsageError("--focus and --focus-px exclude each other");
   if (!flags.disparity.empty() && !flags.depth_m.empty())
@@ -230,6 +228,8 @@ void check_usage(const Flags& flags) {
 }
 
 Json statistics_of(const Viewpoint& at, const Outputs& files, const RenderedView& view) {
+  Json skipped = Json::object();
+  for (const Skipped& s : view.statistics.skipped) skipped[s.reason] = s.fraction;
   double confidence = 0;
   std::size_t seen = 0;
   for (const float c : view.confidence.data) confidence += c;
@@ -241,6 +241,7 @@ Json statistics_of(const Viewpoint& at, const Outputs& files, const RenderedView
           {"height", at.height},
           {"milliseconds", view.statistics.milliseconds},
           {"evaluated_fraction", view.statistics.evaluated_fraction},
+          {"skipped", skipped},
           {"seen_fraction", static_cast<double>(seen) / pixels},
           {"mean_confidence", confidence / pixels}};
 }
@@ -255,7 +256,7 @@ int run(const Flags& flags) {
       throw UsageError(fmt::format("--leave-out {}: the scene has no input view of that name", name));
   const std::vector<Viewpoint> viewpoints = viewpoints_of(flags, lf);
   const bool all_planes = flags.mode == "all-in-focus";
-  LiteralOptions options;
+  RenderOptions options;
   options.planes = flags.planes;
   options.window = flags.window;
   options.k = filter_of(flags.filter);
@@ -266,21 +267,21 @@ int run(const Flags& flags) {
     options.d_min = options.d_max = focus_of(flags, lf);
   for (std::size_t i = 0; i < viewpoints.size(); ++i) check_outputs(outputs_of(flags, i), flags.force);
 
-  const auto renderer = flags.backend == "gl" ? make_gl_renderer(load_views(reader, flags.leave_out))
-                                              : make_cpu_renderer(load_views(reader, flags.leave_out));
+  const auto renderer = make_renderer(method_from_name(flags.method), backend_from_name(flags.backend),
+                                      reader, flags.leave_out);
   const Reporter reporter = console_reporter();
   Json views = Json::array();
   for (std::size_t i = 0; i < viewpoints.size(); ++i) {
     const Outputs files = outputs_of(flags, i);
-    const RenderedView view = all_planes ? all_in_focus(*renderer, viewpoints[i], options, reporter)
-                                         : focal_plane(*renderer, viewpoints[i], options.d_min, options.k);
+    const RenderedView view = all_planes ? renderer->all_in_focus(viewpoints[i], options, reporter)
+                                         : renderer->focal_plane(viewpoints[i], options.d_min, options.k);
     write_outputs(files, lf, view, options);
     views.push_back(statistics_of(viewpoints[i], files, view));
   }
   Json result = {{"scene", flags.scene.string()},
                  {"mode", flags.mode},
                  {"filter", flags.filter},
-                 {"backend", renderer->name()}};
+                 {"backend", flags.backend}};
   if (all_planes) {
     result["method"] = flags.method;
     result["planes"] = options.planes;
@@ -322,7 +323,9 @@ void add_render_command(CLI::App& app, Action& action) {
       ->add_option("--filter", flags->filter,
                    "normal, wide or skipped; all in focus: the filter k of the picture [normal]")
       ->check(CLI::IsMember({"normal", "wide", "skipped"}));
-  command->add_option("--method", flags->method, "How to find what is in focus: literal [literal]");
+  command
+      ->add_option("--method", flags->method, "How to find what is in focus: literal, exact or fast [exact]")
+      ->check(CLI::IsMember({"literal", "exact", "fast"}));
   command->add_option("--planes", flags->planes, "Number of focal planes N [13]")
       ->check(CLI::Range(1, kMostCount));
   command->add_option("--window", flags->window, "Half-width M of the window [7]")

@@ -2,6 +2,7 @@
 
 #include <limits>
 #include <string>
+#include <vector>
 
 #include "core/pose.h"
 #include "core/raster.h"
@@ -20,6 +21,21 @@ struct Viewpoint {
 /// The reconstruction filters of the paper's figure 7.
 enum class Filter { normal = 0, wide = 1, skipped = 2 };
 
+/// The paper's parameters, with its values as defaults.
+struct RenderOptions {
+  int planes = 13;                   ///< N
+  int window = 7;                    ///< M: the window has (2M + 1)^2 pixels
+  double a01 = 1, a02 = 1, a12 = 0;  ///< a_kl of equation 5; filters are numbered normal, wide, skipped
+  Filter k = Filter::normal;         ///< the filter of the picture, equation 8
+  double d_min = 0, d_max = 0;       ///< disparity of the farthest and the nearest plane [px per unit of s]
+};
+
+/// Work that was left out, and why.
+struct Skipped {
+  std::string reason;
+  double fraction = 0;  ///< of the work of that kind
+};
+
 struct RenderedView {
   ImageF colour;
   /// Per pixel, of the chosen plane: its disparity [px per unit of s] and its number (0 is the farthest); -1:
@@ -33,6 +49,10 @@ struct RenderedView {
     double milliseconds = 0;
     /// (pixel, plane) costs computed over pixels x N.
     double evaluated_fraction = 1;
+    /// Multiply-adds of the filters' differences; 0 where they are not counted.
+    double multiply_adds = 0;
+    /// What was not computed, per reason, as a part of what there was to do (`fast`).
+    std::vector<Skipped> skipped;
   } statistics;
 };
 

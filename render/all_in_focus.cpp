@@ -22,7 +22,7 @@ double milliseconds_since(Clock::time_point start) {
 }
 
 /// Equation 5. kUndefined where a filter that takes part keeps less than half its weight.
-Raster<double> difference(const Views& views, const LiteralOptions& options) {
+Raster<double> difference(const Views& views, const RenderOptions& options) {
   const std::array<std::tuple<int, int, double>, 3> pairs{
       {{0, 1, options.a01}, {0, 2, options.a02}, {1, 2, options.a12}}};
   const ImageF& size = views[static_cast<std::size_t>(options.k)].colour;
@@ -34,7 +34,8 @@ Raster<double> difference(const Views& views, const LiteralOptions& options) {
         if (a == 0) continue;
         const FocalPlaneView &I_k = views[static_cast<std::size_t>(k)],
                              &I_l = views[static_cast<std::size_t>(l)];
-        if (I_k.coverage.at(x, y) < 0.5F || I_l.coverage.at(x, y) < 0.5F) e = kUndefined;
+        if (std::min(I_k.coverage.at(x, y), I_l.coverage.at(x, y)) < FocalPlaneRenderer::kLeastCoverage)
+          e = kUndefined;
         for (int c = 0; c < size.channels; ++c)
           e += a * std::abs(static_cast<double>(I_k.colour.at(x, y, c)) - I_l.colour.at(x, y, c));
       }
@@ -77,6 +78,7 @@ struct RunningMinimum {
   Raster<double> E_min, E_sum;
   Raster<int> E_count;
   FocalPlaneView view;
+  double tie = 0;
 
   RunningMinimum(int width, int height, int channels)
       : plane(width, height, 1, -1),
@@ -94,8 +96,8 @@ struct RunningMinimum {
           E_sum.at(x, y) += e;
           ++E_count.at(x, y);
         }
-        // "<": of equal minima the farther plane.
-        if (plane.at(x, y) >= 0 && !(e < E_min.at(x, y))) continue;
+        // Of equal minima the farther plane.
+        if (plane.at(x, y) >= 0 && !(e < E_min.at(x, y) - tie)) continue;
         plane.at(x, y) = n;
         E_min.at(x, y) = e;
         std::copy_n(&I_k.colour.at(x, y), view.colour.channels, &view.colour.at(x, y));
@@ -112,7 +114,7 @@ struct RunningMinimum {
 };
 
 RenderedView finish(RunningMinimum best, const ViewSet& views, const Viewpoint& view,
-                    const LiteralOptions& options) {
+                    const RenderOptions& options) {
   const Raster<std::uint8_t> hull = inside_hull(views, view);
   RenderedView out;
   out.disparity = ImageF(view.width, view.height, 1, std::numeric_limits<float>::quiet_NaN());
@@ -132,29 +134,40 @@ RenderedView finish(RunningMinimum best, const ViewSet& views, const Viewpoint& 
 
 }  // namespace
 
-void validate(const LiteralOptions& options) {
-  if (options.planes < 1) throw std::invalid_argument("LiteralOptions: planes must be >= 1");
-  if (options.window < 0) throw std::invalid_argument("LiteralOptions: window must be >= 0");
+void validate(const RenderOptions& options) {
+  if (options.planes < 1) throw std::invalid_argument("RenderOptions: planes must be >= 1");
+  if (options.window < 0) throw std::invalid_argument("RenderOptions: window must be >= 0");
   for (const double a : {options.a01, options.a02, options.a12})
-    if (!std::isfinite(a) || a < 0) throw std::invalid_argument("LiteralOptions: a_kl must be >= 0");
+    if (!std::isfinite(a) || a < 0) throw std::invalid_argument("RenderOptions: a_kl must be >= 0");
   if (options.a01 + options.a02 + options.a12 <= 0)
-    throw std::invalid_argument("LiteralOptions: one of a_kl must be > 0");
+    throw std::invalid_argument("RenderOptions: one of a_kl must be > 0");
   if (!std::isfinite(options.d_min) || !std::isfinite(options.d_max) || options.d_min > options.d_max)
-    throw std::invalid_argument("LiteralOptions: d_min <= d_max must be finite");
+    throw std::invalid_argument("RenderOptions: d_min <= d_max must be finite");
 }
 
-double plane_disparity(const LiteralOptions& options, int n) {
+double plane_disparity(const RenderOptions& options, int n) {
   if (options.planes == 1) return (options.d_min + options.d_max) / 2;
   const double a = static_cast<double>(n) / (options.planes - 1);
   return (1 - a) * options.d_min + a * options.d_max;
 }
 
-RenderedView all_in_focus(FocalPlaneRenderer& renderer, const Viewpoint& view, const LiteralOptions& options,
+Raster<double> focus_cost(FocalPlaneRenderer& renderer, const Viewpoint& view, const RenderOptions& options,
+                          int n) {
+  const double d = plane_disparity(options, n);
+  return window_mean(
+      difference({renderer.render(view, d, Filter::normal), renderer.render(view, d, Filter::wide),
+                  renderer.render(view, d, Filter::skipped)},
+                 options),
+      options.window);
+}
+
+RenderedView all_in_focus(FocalPlaneRenderer& renderer, const Viewpoint& view, const RenderOptions& options,
                           const Reporter& reporter) {
   validate(options);
   validate(view, renderer.views().lf);
   const auto start = Clock::now();
   RunningMinimum best(view.width, view.height, renderer.views().lf.channels);
+  best.tie = tie_of(renderer.views().lf.type);
   for (int n = 0; n < options.planes; ++n) {
     const double d = plane_disparity(options, n);
     const Views I{renderer.render(view, d, Filter::normal), renderer.render(view, d, Filter::wide),
@@ -166,6 +179,30 @@ RenderedView all_in_focus(FocalPlaneRenderer& renderer, const Viewpoint& view, c
   RenderedView out = finish(std::move(best), renderer.views(), view, options);
   out.statistics.milliseconds = milliseconds_since(start);
   return out;
+}
+
+namespace {
+
+class LiteralRenderer : public Renderer {
+ public:
+  explicit LiteralRenderer(std::unique_ptr<FocalPlaneRenderer> planes) : planes_(std::move(planes)) {}
+
+  RenderedView all_in_focus(const Viewpoint& view, const RenderOptions& options,
+                            const Reporter& reporter) override {
+    return stuv::all_in_focus(*planes_, view, options, reporter);
+  }
+  RenderedView focal_plane(const Viewpoint& view, double d_px, Filter filter) override {
+    return stuv::focal_plane(*planes_, view, d_px, filter);
+  }
+
+ private:
+  std::unique_ptr<FocalPlaneRenderer> planes_;
+};
+
+}  // namespace
+
+std::unique_ptr<Renderer> make_literal_renderer(std::unique_ptr<FocalPlaneRenderer> planes) {
+  return std::make_unique<LiteralRenderer>(std::move(planes));
 }
 
 RenderedView focal_plane(FocalPlaneRenderer& renderer, const Viewpoint& view, double d_px, Filter filter) {

@@ -33,6 +33,8 @@ class FocalPlaneRenderer {
  public:
   /// u, v closer than this to whole pixels count as whole [px], so that rounding loses no pixel at a border.
   static constexpr double kSnap_px = 1e-4;
+  /// A filter that keeps less of its weight cannot be compared: half of it, less rounding.
+  static constexpr float kLeastCoverage = 0.5F - 1e-4F;
 
   virtual ~FocalPlaneRenderer() = default;
   /// Throws std::invalid_argument for a viewpoint that is not valid (view_set.h) or a d that is not finite.

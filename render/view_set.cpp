@@ -52,30 +52,65 @@ void drop_empty_lines(ViewSet& set) {
   set.lf.cols = 1 + *std::max_element(cols.begin(), cols.end());
 }
 
-std::shared_ptr<const ViewSet> load_views(const LightFieldReader& reader,
-                                          const std::vector<std::string>& leave_out) {
+namespace {
+
+std::shared_ptr<ViewSet> make_set(const LightFieldReader& reader, const std::vector<std::string>& leave_out) {
   auto set = std::make_shared<ViewSet>();
   set->lf = reader.light_field();
+  set->reader = &reader;
   for (const std::string& name : leave_out) {
     const int index = set->lf.view_index(name);
     if (index < 0 || set->lf.views[static_cast<std::size_t>(index)].role != ViewRole::input)
       throw Error(set->lf.folder.string(), "has no input view " + name, "see the names in lightfield.json");
   }
-  std::vector<int> indices;
   for (const int i : set->lf.views_with(ViewRole::input)) {
     const View& view = set->lf.views[static_cast<std::size_t>(i)];
     if (std::find(leave_out.begin(), leave_out.end(), view.name) != leave_out.end()) continue;
-    indices.push_back(i);
+    set->reader_index.push_back(i);
     set->cameras.push_back(view);
   }
-  if (indices.empty()) throw Error(set->lf.folder.string(), "has no view left", "leave fewer views out");
+  if (set->cameras.empty()) throw Error(set->lf.folder.string(), "has no view left", "leave fewer views out");
   drop_empty_lines(*set);
-  set->pixels.resize(indices.size());
-  parallel_for(static_cast<int>(indices.size()), [&](int i) {
-    ViewPixels pixels = reader.read(indices[static_cast<std::size_t>(i)]);
-    mask_non_finite(pixels);
-    set->pixels[static_cast<std::size_t>(i)] = std::move(pixels);
+  return set;
+}
+
+/// A part of a picture.
+template <class T>
+Raster<T> part_of(const Raster<T>& from, int x, int y, int width, int height) {
+  Raster<T> out(width, height, from.channels);
+  for (int row = 0; row < height; ++row)
+    std::copy_n(&from.at(x, y + row), static_cast<std::size_t>(width) * from.channels, out.row(row));
+  return out;
+}
+
+}  // namespace
+
+ViewPixels ViewSet::read(int camera, int x, int y, int width, int height) const {
+  const auto i = static_cast<std::size_t>(camera);
+  ViewPixels out;
+  if (pixels.empty()) {
+    out = reader->read(reader_index[i], 0, x, y, width, height);
+  } else {
+    out.colour = part_of(pixels[i].colour, x, y, width, height);
+    if (!pixels[i].mask.empty()) out.mask = part_of(pixels[i].mask, x, y, width, height);
+  }
+  mask_non_finite(out);
+  return out;
+}
+
+std::shared_ptr<const ViewSet> open_views(const LightFieldReader& reader,
+                                          const std::vector<std::string>& leave_out) {
+  return make_set(reader, leave_out);
+}
+
+std::shared_ptr<const ViewSet> load_views(const LightFieldReader& reader,
+                                          const std::vector<std::string>& leave_out) {
+  const auto set = make_set(reader, leave_out);
+  std::vector<ViewPixels> pixels(set->cameras.size());
+  parallel_for(static_cast<int>(pixels.size()), [&](int i) {
+    pixels[static_cast<std::size_t>(i)] = set->read(i, 0, 0, set->lf.width, set->lf.height);
   });
+  set->pixels = std::move(pixels);
   return set;
 }
 

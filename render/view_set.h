@@ -9,11 +9,17 @@
 
 namespace stuv {
 
-/// The input views that a renderer blends, with their pixels in memory.
+/// The input views that a renderer blends. Their pixels are either all in memory (`pixels`) or reached
+/// through `reader`, which must then outlive the set.
 struct ViewSet {
   LightField lf;
   std::vector<View> cameras;       ///< input views, without those that were left out
   std::vector<ViewPixels> pixels;  ///< beside `cameras`; a non-finite pixel is masked, its colour 0
+  const LightFieldReader* reader = nullptr;
+  std::vector<int> reader_index;  ///< beside `cameras`: number of the view in the reader's light field
+
+  /// Pixels [x, x + width) x [y, y + height) of a camera, non-finite ones masked.
+  ViewPixels read(int camera, int x, int y, int width, int height) const;
 };
 
 /// Rows and columns of the lattice on which no camera stands are taken out, the others counted anew: along a
@@ -21,8 +27,12 @@ struct ViewSet {
 /// three would be the mean of its two neighbours, and nothing could be told to be in focus.
 void drop_empty_lines(ViewSet& set);
 
-/// Reads all input views but those named in `leave_out`, which become holes of the lattice.
-/// Throws Error if a name is no input view, none is left, or a picture cannot be read.
+/// All input views but those named in `leave_out`, which become holes of the lattice; their pixels stay on
+/// disk. Throws Error if a name is no input view or none is left.
+std::shared_ptr<const ViewSet> open_views(const LightFieldReader& reader,
+                                          const std::vector<std::string>& leave_out = {});
+
+/// The same with all pixels in memory, as `literal` needs them. Throws Error if a picture cannot be read.
 std::shared_ptr<const ViewSet> load_views(const LightFieldReader& reader,
                                           const std::vector<std::string>& leave_out = {});
 

@@ -29,7 +29,7 @@ std::shared_ptr<ViewSet> two_planes() {
 TEST_CASE("literal finds the planes of a scene of two") {
   const auto set = two_planes();
   const auto renderer = make_cpu_renderer(set);
-  LiteralOptions options;
+  RenderOptions options;
   options.planes = 5;  // 0, 2, 4, 6, 8
   options.d_min = 0;
   options.d_max = 8;
@@ -51,7 +51,7 @@ TEST_CASE("literal finds the planes of a scene of two") {
 TEST_CASE("Of equal minima the farther plane") {
   const auto set = make_views({});
   paint_constant(*set, 0.5F);
-  LiteralOptions options;
+  RenderOptions options;
   // Whole shifts and weights of quarters: no rounding tells the planes apart.
   options.planes = 3;
   options.d_min = -1;
@@ -70,7 +70,7 @@ TEST_CASE("One pixel, one plane, a window of one and a window larger than the pi
     const auto renderer = make_cpu_renderer(set);
     for (const int planes : {1, 3}) {
       for (const int window : {0, 1000000000}) {
-        LiteralOptions options;
+        RenderOptions options;
         options.planes = planes;
         options.window = window;
         options.d_min = options.d_max = 0;
@@ -84,7 +84,7 @@ TEST_CASE("One pixel, one plane, a window of one and a window larger than the pi
 
 TEST_CASE("Far outside the hull: no NaN, confidence 0; where nobody looks: black, plane -1") {
   const auto set = two_planes();
-  LiteralOptions options;
+  RenderOptions options;
   options.d_min = 1;
   options.d_max = 8;
   const auto renderer = make_cpu_renderer(set);
@@ -103,13 +103,13 @@ TEST_CASE("Far outside the hull: no NaN, confidence 0; where nobody looks: black
 
 TEST_CASE("Options that make no sense are refused") {
   const auto refused = [](auto change) {
-    LiteralOptions options;
+    RenderOptions options;
     change(options);
     CHECK_THROWS_AS(validate(options), std::invalid_argument);
   };
-  refused([](LiteralOptions& o) { o.planes = 0; });
-  refused([](LiteralOptions& o) { o.window = -1; });
-  refused([](LiteralOptions& o) { o.a01 = o.a02 = 0; });
-  refused([](LiteralOptions& o) { o.d_min = std::nan(""); });
-  refused([](LiteralOptions& o) { o.d_min = 2, o.d_max = 1; });
+  refused([](RenderOptions& o) { o.planes = 0; });
+  refused([](RenderOptions& o) { o.window = -1; });
+  refused([](RenderOptions& o) { o.a01 = o.a02 = 0; });
+  refused([](RenderOptions& o) { o.d_min = std::nan(""); });
+  refused([](RenderOptions& o) { o.d_min = 2, o.d_max = 1; });
 }

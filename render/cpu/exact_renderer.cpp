@@ -1,0 +1,118 @@
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <limits>
+#include <mutex>
+#include <thread>
+
+#include "core/parallel.h"
+#include "render/all_in_focus.h"
+#include "render/cpu/sweep.h"
+#include "render/cpu/sweep_renderer.h"
+
+namespace stuv {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+/// Blocks of equal size, about `width` x `height`.
+std::vector<PixelRect> blocks_of(const Viewpoint& view, int width, int height) {
+  const int columns = std::max(1, (view.width + width - 1) / width),
+            rows = std::max(1, (view.height + height - 1) / height);
+  const auto edge = [](int i, int n, int size) {
+    return static_cast<int>(static_cast<std::int64_t>(i) * size / n);
+  };
+  std::vector<PixelRect> blocks;
+  for (int row = 0; row < rows; ++row)
+    for (int col = 0; col < columns; ++col)
+      blocks.push_back({edge(col, columns, view.width), edge(row, rows, view.height),
+                        edge(col + 1, columns, view.width), edge(row + 1, rows, view.height)});
+  return blocks;
+}
+
+/// Large enough that the halo of the window is a small part, small enough for every thread to get some.
+std::vector<PixelRect> exact_blocks(const Sweep& sweep) {
+  const int threads = static_cast<int>(std::max(1U, std::thread::hardware_concurrency()));
+  const int window = std::max(sweep.M_x, sweep.M_y);
+  const int share = (sweep.view.height + 2 * threads - 1) / (2 * threads);
+  const int height = std::max(std::clamp(share, 32, 128), 4 * window);
+  return blocks_of(sweep.view, std::max(256, 4 * window), height);
+}
+
+RenderedView empty_picture(const Viewpoint& view, int channels) {
+  RenderedView out;
+  out.colour = ImageF(view.width, view.height, channels);
+  out.disparity = ImageF(view.width, view.height, 1, std::numeric_limits<float>::quiet_NaN());
+  out.plane = Raster<int>(view.width, view.height, 1, -1);
+  out.confidence = ImageF(view.width, view.height, 1);
+  return out;
+}
+
+class ExactRenderer : public Renderer {
+ public:
+  explicit ExactRenderer(std::shared_ptr<const ViewSet> views) : lattice_(*views), store_(std::move(views)) {}
+
+  RenderedView all_in_focus(const Viewpoint& view, const RenderOptions& options,
+                            const Reporter& reporter) override {
+    validate(options);
+    validate(view, store_.views().lf);
+    const auto start = Clock::now();
+    const Sweep sweep(store_, lattice_, view, options);
+    RenderedView out = empty_picture(view, store_.views().lf.channels);
+    const std::vector<PixelRect> blocks = exact_blocks(sweep);
+    std::mutex reporting;
+    std::size_t done = 0;
+    double multiply_adds = 0;
+    parallel_for(static_cast<int>(blocks.size()), [&](int i) {
+      SweepBlock block(sweep, blocks[static_cast<std::size_t>(i)]);
+      for (int n = 0; n < options.planes; ++n) block.evaluate(n);
+      block.write(out);
+      const std::lock_guard lock(reporting);
+      multiply_adds += block.multiply_adds();
+      reporter.at("blocks", ++done, blocks.size());
+    });
+    out.statistics.multiply_adds = multiply_adds;
+    out.statistics.milliseconds = std::chrono::duration<double, std::milli>(Clock::now() - start).count();
+    return out;
+  }
+
+  RenderedView focal_plane(const Viewpoint& view, double d_px, Filter filter) override {
+    if (!std::isfinite(d_px)) throw std::invalid_argument("render: the disparity must be finite");
+    RenderOptions options;
+    options.planes = 1;
+    options.window = 0;
+    options.k = filter;
+    options.d_min = options.d_max = d_px;
+    validate(view, store_.views().lf);
+    const auto start = Clock::now();
+    const Sweep sweep(store_, lattice_, view, options);
+    RenderedView out = empty_picture(view, store_.views().lf.channels);
+    const std::vector<PixelRect> blocks = exact_blocks(sweep);
+    parallel_for(static_cast<int>(blocks.size()), [&](int i) {
+      SweepBlock block(sweep, blocks[static_cast<std::size_t>(i)]);
+      block.choose(0, block.rect().x0, block.rect().x1);
+      block.write(out);
+    });
+    out.statistics.milliseconds = std::chrono::duration<double, std::milli>(Clock::now() - start).count();
+    return out;
+  }
+
+  void load(const Viewpoint& view, const RenderOptions& options) override {
+    const Sweep sweep(store_, lattice_, view, options);
+    const std::vector<PixelRect> blocks = exact_blocks(sweep);
+    parallel_for(static_cast<int>(blocks.size()),
+                 [&](int i) { const SweepBlock block(sweep, blocks[static_cast<std::size_t>(i)]); });
+  }
+
+ private:
+  SweepLattice lattice_;
+  PixelStore store_;
+};
+
+}  // namespace
+
+std::unique_ptr<Renderer> make_cpu_exact_renderer(std::shared_ptr<const ViewSet> views) {
+  return std::make_unique<ExactRenderer>(std::move(views));
+}
+
+}  // namespace stuv

@@ -1,0 +1,540 @@
+#include "render/cpu/sweep.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <limits>
+
+#include "render/all_in_focus.h"
+
+namespace stuv {
+namespace {
+
+using kernels::ShiftTap;
+using kernels::WarpMap;
+
+constexpr float kInfinity = std::numeric_limits<float>::infinity();
+constexpr int kVectorPadding = 64;  ///< values that a kernel may write behind a row
+
+PixelRect intersection(const PixelRect& a, const PixelRect& b) {
+  return {std::max(a.x0, b.x0), std::max(a.y0, b.y0), std::min(a.x1, b.x1), std::min(a.y1, b.y1)};
+}
+
+bool any_missing(const StoredView& view, const PixelRect& rect) {
+  const std::uint8_t* mask = view.mask_plane();
+  if (mask == nullptr) return false;
+  for (int y = std::max(rect.y0, 0); y < std::min(rect.y1, view.height); ++y) {
+    const int x0 = std::max(rect.x0, 0), x1 = std::min(rect.x1, view.width);
+    if (x0 < x1 && std::memchr(mask + static_cast<std::size_t>(y) * view.width + x0, 0,
+                               static_cast<std::size_t>(x1 - x0)))
+      return true;
+  }
+  return false;
+}
+
+/// The pixels of a camera that rays through `halo` may meet on planes between two.
+PixelRect needed_pixels(const Sweep& sweep, const View& camera, const PixelRect& halo) {
+  const LightField& lf = sweep.store.views().lf;
+  const PixelRect all{0, 0, lf.width, lf.height};
+  double u0 = INFINITY, u1 = -INFINITY, v0 = INFINITY, v1 = -INFINITY;
+  for (const double d : {sweep.disparities.front(), sweep.disparities.back()}) {
+    const CameraMap map = camera_map(lf, camera, sweep.view, d);
+    if (!map.visible) return all;
+    for (const int x : {halo.x0, halo.x1 - 1})
+      for (const int y : {halo.y0, halo.y1 - 1}) {
+        const Ray ray = ray_of(sweep.view, x, y);
+        if (!ray.towards_scene) return all;
+        const double u = map.u0 + map.scale * ray.gx, v = map.v0 + map.scale * ray.gy;
+        if (!std::isfinite(u) || !std::isfinite(v)) return all;
+        u0 = std::min(u0, u), u1 = std::max(u1, u), v0 = std::min(v0, v), v1 = std::max(v1, v);
+      }
+  }
+  const auto whole = [](double at, int size) { return static_cast<int>(std::clamp(at, -2.0, size + 2.0)); };
+  return intersection(all, {whole(std::floor(u0) - 1, lf.width), whole(std::floor(v0) - 1, lf.height),
+                            whole(std::floor(u1) + 3, lf.width), whole(std::floor(v1) + 3, lf.height)});
+}
+
+}  // namespace
+
+SweepLattice::SweepLattice(const ViewSet& views) : chart(views.lf.rows, views.lf.cols, views.cameras) {
+  for (const Filter filter : {Filter::normal, Filter::wide, Filter::skipped})
+    filters.emplace_back(views.lf.rows, views.lf.cols, views.cameras, filter);
+}
+
+Sweep::Sweep(PixelStore& pixels, const SweepLattice& sweep_lattice, const Viewpoint& viewpoint,
+             const RenderOptions& render_options)
+    : store(pixels), lattice(sweep_lattice), view(viewpoint), options(render_options) {
+  for (int n = 0; n < options.planes; ++n) disparities.push_back(plane_disparity(options, n));
+  positions = lattice_positions(lattice.chart, view);
+  if (positions.constant)
+    for (std::size_t k = 0; k < 3; ++k) lattice.filters[k].weights(positions.p[0], constant[k]);
+  parallel = is_parallel(view);
+  const PixelType type = store.views().lf.type;
+  scale = type == PixelType::u8 ? 1.0F / 255 : type == PixelType::u16 ? 1.0F / 65535 : 1.0F;
+  tie = static_cast<float>(tie_of(type));
+  M_x = std::min(options.window, view.width);
+  M_y = std::min(options.window, view.height);
+}
+
+SweepBlock::SweepBlock(const Sweep& sweep, const PixelRect& rect) : sweep_(sweep), rect_(rect) {
+  const int M_x = sweep.M_x, M_y = sweep.M_y;
+  padded_ = {rect.x0 - M_x, rect.y0 - M_y, rect.x1 + M_x, rect.y1 + M_y};
+  halo_ = intersection(padded_, {0, 0, sweep.view.width, sweep.view.height});
+  stride_ = static_cast<std::size_t>(padded_.x1 - padded_.x0) + kVectorPadding;
+  const std::size_t padded_size =
+      stride_ * static_cast<std::size_t>(padded_.y1 - padded_.y0) + kVectorPadding;
+  const std::size_t size = stride_ * static_cast<std::size_t>(rect.y1 - rect.y0) + kVectorPadding;
+  E0_.resize(padded_size);
+  sum_.resize(size);
+  count_.resize(size);
+  E_min_.assign(size, kInfinity);
+  E_sum_.assign(size, 0.0F);
+  E_count_.assign(size, 0.0F);
+  plane_.assign(size, -1);
+  find_cameras();
+  acquire_views();
+  by_shift_ = meets_at_one_offset();
+  shift_job_.type = views_.empty() ? PixelType::u8 : views_.front()->type;
+  shift_job_.channels = sweep.store.views().lf.channels;
+  shift_job_.a = {static_cast<float>(sweep.options.a01), static_cast<float>(sweep.options.a02),
+                  static_cast<float>(sweep.options.a12)};
+}
+
+void SweepBlock::find_cameras() {
+  const std::size_t count = sweep_.store.views().cameras.size();
+  std::vector<std::array<double, 3>> weight(count, {0, 0, 0});
+  if (sweep_.positions.constant) {
+    for (std::size_t k = 0; k < 3; ++k)
+      for (const CameraWeight& c : sweep_.constant[k])
+        weight[static_cast<std::size_t>(c.camera)][k] = c.weight;
+  } else {
+    // Whoever may have a part anywhere: the box around the rays' places on the lattice.
+    const ViewSet& views = sweep_.store.views();
+    Eigen::Vector2d low(INFINITY, INFINITY), high(-INFINITY, -INFINITY);
+    for (int y = halo_.y0; y < halo_.y1; ++y)
+      for (int x = halo_.x0; x < halo_.x1; ++x) {
+        const Eigen::Vector2d& p = sweep_.positions.at(sweep_.view, x, y);
+        if (!p.allFinite()) continue;
+        low = low.cwiseMin(p);
+        high = high.cwiseMax(p);
+      }
+    const Eigen::Vector2d last(views.lf.cols - 1, views.lf.rows - 1);
+    low = low.cwiseMax(Eigen::Vector2d::Zero()).cwiseMin(last);
+    high = high.cwiseMax(Eigen::Vector2d::Zero()).cwiseMin(last);
+    for (int k = 0; k < 3; ++k) {
+      const LatticeFilter& filter = sweep_.lattice.filters[static_cast<std::size_t>(k)];
+      const double reach = filter.half_width();
+      for (int row = 0; row < filter.thinned_rows(); ++row)
+        for (int col = 0; col < filter.thinned_cols(); ++col) {
+          if (col <= low.x() / filter.stride() - reach || col >= high.x() / filter.stride() + reach) continue;
+          if (row <= low.y() / filter.stride() - reach || row >= high.y() / filter.stride() + reach) continue;
+          for (const CameraWeight& c :
+               sweep_.lattice.stands(k)[static_cast<std::size_t>(row * filter.thinned_cols() + col)])
+            weight[static_cast<std::size_t>(c.camera)][static_cast<std::size_t>(k)] = 1;
+        }
+    }
+  }
+  for (std::size_t c = 0; c < count; ++c) {
+    if (weight[c][0] <= 0 && weight[c][1] <= 0 && weight[c][2] <= 0) continue;
+    cameras_.push_back(static_cast<int>(c));
+    constant_.push_back(weight[c]);
+  }
+}
+
+void SweepBlock::acquire_views() {
+  const ViewSet& set = sweep_.store.views();
+  for (const int c : cameras_) {
+    const PixelRect needed = needed_pixels(sweep_, set.cameras[static_cast<std::size_t>(c)], halo_);
+    views_.push_back(sweep_.store.acquire(c, needed));
+    masked_.push_back(any_missing(*views_.back(), needed) ? 1 : 0);
+    any_masked_ = any_masked_ || masked_.back() != 0;
+  }
+}
+
+/// On every plane every output pixel meets each camera's picture at one offset from itself: parallel views on
+/// the cameras' plane.
+bool SweepBlock::meets_at_one_offset() const {
+  const ViewSet& set = sweep_.store.views();
+  if (!sweep_.parallel || !sweep_.positions.constant || any_masked_) return false;
+  if (sweep_.view.focal_px != set.lf.focal_px) return false;
+  return std::all_of(cameras_.begin(), cameras_.end(),
+                     [&](int c) { return set.cameras[static_cast<std::size_t>(c)].w == sweep_.view.z; });
+}
+
+std::vector<SweepBlock::Shift> SweepBlock::shifts_of(int n) const {
+  const ViewSet& set = sweep_.store.views();
+  const Viewpoint& view = sweep_.view;
+  std::vector<Shift> shifts(cameras_.size());
+  for (std::size_t i = 0; i < cameras_.size(); ++i) {
+    const CameraMap map = camera_map(set.lf, set.cameras[static_cast<std::size_t>(cameras_[i])], view,
+                                     sweep_.disparities[static_cast<std::size_t>(n)]);
+    Shift& shift = shifts[i];
+    shift.visible = map.visible;
+    if (!map.visible) continue;
+    const double u = map.u0 - view.cx_px, v = map.v0 - view.cy_px;
+    if (!(std::abs(u) < 1e6 && std::abs(v) < 1e6)) {  // nowhere near the picture
+      shift.visible = false;
+      continue;
+    }
+    const auto split = [](double at, int& whole, float& fraction) {
+      const double nearest = std::round(at);
+      if (std::abs(at - nearest) < FocalPlaneRenderer::kSnap_px) at = nearest;
+      whole = static_cast<int>(std::floor(at));
+      fraction = static_cast<float>(at - whole);
+    };
+    split(u, shift.dx, shift.ax);
+    split(v, shift.dy, shift.ay);
+    shift.valid = {-shift.dx, -shift.dy, set.lf.width - shift.dx - (shift.ax > 0 ? 1 : 0),
+                   set.lf.height - shift.dy - (shift.ay > 0 ? 1 : 0)};
+  }
+  return shifts;
+}
+
+/// The job of a part in which the same cameras see all pixels. `defined`: equation 5 is; `candidate`: filter
+/// k has a sample.
+void SweepBlock::fill_shift_job(const std::vector<Shift>& shifts, const PixelRect& part, bool& defined,
+                                bool& candidate) {
+  std::array<double, 3> seen{0, 0, 0};
+  const auto sees = [&](std::size_t i) {
+    const Shift& s = shifts[i];
+    return s.visible && s.valid.x0 <= part.x0 && part.x1 <= s.valid.x1 && s.valid.y0 <= part.y0 &&
+           part.y1 <= s.valid.y1;
+  };
+  for (std::size_t i = 0; i < cameras_.size(); ++i)
+    if (sees(i))
+      for (std::size_t k = 0; k < 3; ++k) seen[k] += constant_[i][k];
+  const auto& a = shift_job_.a;
+  const bool takes_part[3] = {a.a01 != 0 || a.a02 != 0, a.a01 != 0 || a.a12 != 0, a.a02 != 0 || a.a12 != 0};
+  defined = true;
+  for (std::size_t k = 0; k < 3; ++k)
+    defined =
+        defined && (!takes_part[k] || static_cast<float>(seen[k]) >= FocalPlaneRenderer::kLeastCoverage);
+  candidate = seen[static_cast<std::size_t>(sweep_.options.k)] > 0;
+  shift_job_.taps.clear();
+  if (!defined) return;
+
+  // A filter that takes no part may see nothing; its weights are then 0.
+  const auto part_of = [&](std::size_t i, std::size_t k) {
+    return seen[k] > 0 ? constant_[i][k] / seen[k] : 0.0;
+  };
+  const auto add = [&](std::size_t i, double w1, double w2) {
+    const Shift& s = shifts[i];
+    const StoredView& view = *views_[i];
+    ShiftTap tap{&view, static_cast<std::ptrdiff_t>(s.dy) * view.width + s.dx, {}, {}, s.ay > 0, s.ax > 0};
+    const double bilinear[] = {(1 - s.ax) * (1 - s.ay), s.ax * (1 - s.ay), (1 - s.ax) * s.ay, s.ax * s.ay};
+    for (int q = 0; q < 4; ++q) {
+      tap.w1[q] = static_cast<float>(w1 * bilinear[q] * sweep_.scale);
+      tap.w2[q] = static_cast<float>(w2 * bilinear[q] * sweep_.scale);
+    }
+    shift_job_.taps.push_back(tap);
+  };
+  const bool use_second = a.a02 != 0 || a.a12 != 0;
+  for (const bool second : {true, false}) {
+    for (std::size_t i = 0; i < cameras_.size(); ++i) {
+      if (!sees(i)) continue;
+      const double w1 = part_of(i, 0) - part_of(i, 1), w2 = use_second ? part_of(i, 0) - part_of(i, 2) : 0.0;
+      if (second == (w2 != 0) && (w1 != 0 || w2 != 0)) add(i, w1, w2);
+    }
+    if (second) shift_job_.in_second = shift_job_.taps.size();
+  }
+}
+
+/// True if equation 5 is defined and the plane a candidate everywhere; otherwise `defined_` and `candidate_`
+/// say where.
+bool SweepBlock::difference_by_shift(const PixelRect& halo, const std::vector<Shift>& shifts) {
+  // Cameras come and go along straight lines only.
+  std::vector<int> xs{halo.x0, halo.x1}, ys{halo.y0, halo.y1};
+  for (const Shift& s : shifts) {
+    if (!s.visible) continue;
+    for (const int x : {s.valid.x0, s.valid.x1})
+      if (x > halo.x0 && x < halo.x1) xs.push_back(x);
+    for (const int y : {s.valid.y0, s.valid.y1})
+      if (y > halo.y0 && y < halo.y1) ys.push_back(y);
+  }
+  for (std::vector<int>* lines : {&xs, &ys}) {
+    std::sort(lines->begin(), lines->end());
+    lines->erase(std::unique(lines->begin(), lines->end()), lines->end());
+  }
+  struct Gap {
+    PixelRect part;
+    bool defined, candidate;
+  };
+  std::vector<Gap> gaps;
+  for (std::size_t j = 0; j + 1 < ys.size(); ++j)
+    for (std::size_t i = 0; i + 1 < xs.size(); ++i) {
+      const PixelRect part{xs[i], ys[j], xs[i + 1], ys[j + 1]};
+      bool defined = false, candidate = false;
+      fill_shift_job(shifts, part, defined, candidate);
+      if (!defined || !candidate) gaps.push_back({part, defined, candidate});
+      if (defined) {
+        shift_difference(shift_job_, part.x0, part.y0, part.x1 - part.x0, part.y1 - part.y0,
+                         E0_at(part.x0, part.y0), stride_);
+        multiply_adds_ += kernels::multiply_adds(shift_job_) * (part.x1 - part.x0) * (part.y1 - part.y0);
+      }
+    }
+  if (gaps.empty()) return true;
+  defined_.assign(E0_.size(), 0.0F);
+  candidate_.assign(E0_.size(), 0.0F);
+  for (int y = halo.y0; y < halo.y1; ++y) {
+    std::fill_n(defined_.data() + index_of(halo.x0, y), halo.x1 - halo.x0, 1.0F);
+    std::fill_n(candidate_.data() + index_of(halo.x0, y), halo.x1 - halo.x0, 1.0F);
+  }
+  for (const Gap& gap : gaps)
+    for (int y = gap.part.y0; y < gap.part.y1; ++y) {
+      const int width = gap.part.x1 - gap.part.x0;
+      if (!gap.defined) {
+        std::fill_n(E0_at(gap.part.x0, y), width, 0.0F);
+        std::fill_n(defined_.data() + index_of(gap.part.x0, y), width, 0.0F);
+      }
+      if (!gap.candidate) std::fill_n(candidate_.data() + index_of(gap.part.x0, y), width, 0.0F);
+    }
+  return false;
+}
+
+/// Directions of the rays relative to the block's centre, so that float has the digits for them.
+void SweepBlock::make_rays() {
+  const Viewpoint& view = sweep_.view;
+  gx_.assign(E0_.size(), 0.0F);
+  gy_.assign(E0_.size(), 0.0F);
+  const Ray centre = ray_of(view, (halo_.x0 + halo_.x1) / 2, (halo_.y0 + halo_.y1) / 2);
+  for (int y = halo_.y0; y < halo_.y1; ++y) {
+    for (int x = halo_.x0; x < halo_.x1; ++x) {
+      const Ray ray = ray_of(view, x, y);
+      gx_[index_of(x, y)] = ray.towards_scene ? static_cast<float>(ray.gx - centre.gx) : std::nanf("");
+      gy_[index_of(x, y)] = ray.towards_scene ? static_cast<float>(ray.gy - centre.gy) : std::nanf("");
+    }
+  }
+}
+
+void SweepBlock::make_maps() {
+  const ViewSet& set = sweep_.store.views();
+  const Ray centre = ray_of(sweep_.view, (halo_.x0 + halo_.x1) / 2, (halo_.y0 + halo_.y1) / 2);
+  maps_.assign(sweep_.disparities.size() * cameras_.size(), {});
+  auto map = maps_.begin();
+  for (const double d : sweep_.disparities) {
+    for (const int c : cameras_) {
+      const CameraMap at = camera_map(set.lf, set.cameras[static_cast<std::size_t>(c)], sweep_.view, d);
+      WarpMap& out = *map++;
+      if (!at.visible) continue;
+      const double u = at.u0 + at.scale * centre.gx, v = at.v0 + at.scale * centre.gy;
+      if (!(std::abs(u) < 1e8 && std::abs(v) < 1e8)) continue;
+      out.whole_x = static_cast<std::int32_t>(std::lround(u));
+      out.whole_y = static_cast<std::int32_t>(std::lround(v));
+      out.frac_x = static_cast<float>(u - out.whole_x);
+      out.frac_y = static_cast<float>(v - out.whole_y);
+      out.slope = static_cast<float>(at.scale);
+      out.visible = 1;
+    }
+  }
+}
+
+/// Weights of each camera and filter at each pixel of the block, as LatticeFilter::weights.
+void SweepBlock::make_weights() {
+  // Where all differences are made by shifts, only the picture's own filter is needed.
+  const auto wanted = [&](std::size_t i, std::size_t k) {
+    return constant_[i][k] > 0 && (!by_shift_ || k == static_cast<std::size_t>(sweep_.options.k));
+  };
+  const std::size_t raster = E0_.size();
+  std::vector<std::array<std::size_t, 3>> at(cameras_.size());
+  std::size_t rasters = 0;
+  for (std::size_t i = 0; i < cameras_.size(); ++i)
+    for (std::size_t k = 0; k < 3; ++k)
+      if (wanted(i, k)) at[i][k] = raster * rasters++;
+  weights_.assign(rasters * raster, 0.0F);
+  std::vector<int> slot(sweep_.store.views().cameras.size(), -1);
+  for (std::size_t i = 0; i < cameras_.size(); ++i)
+    slot[static_cast<std::size_t>(cameras_[i])] = static_cast<int>(i);
+  warp_job_.cameras.assign(cameras_.size(), {});
+  for (std::size_t i = 0; i < cameras_.size(); ++i) {
+    warp_job_.cameras[i].view = views_[i].get();
+    warp_job_.cameras[i].masked = masked_[i] != 0;
+    for (std::size_t k = 0; k < 3; ++k)
+      if (wanted(i, k)) warp_job_.cameras[i].weight[k] = weights_.data() + at[i][k];
+  }
+  const auto weight_row = [&](std::size_t i, std::size_t k, int y) {
+    return weights_.data() + at[i][k] + index_of(halo_.x0, y);
+  };
+  const int width = halo_.x1 - halo_.x0;
+  if (sweep_.positions.constant) {
+    for (std::size_t i = 0; i < cameras_.size(); ++i)
+      for (std::size_t k = 0; k < 3; ++k)
+        if (wanted(i, k))
+          for (int y = halo_.y0; y < halo_.y1; ++y)
+            std::fill_n(weight_row(i, k, y), width, static_cast<float>(constant_[i][k]));
+    return;
+  }
+  const LightField& lf = sweep_.store.views().lf;
+  std::vector<float> px(static_cast<std::size_t>(width)), py(px.size()), tents(px.size()), total(px.size());
+  for (int y = halo_.y0; y < halo_.y1; ++y) {
+    for (int k = 0; k < 3; ++k) {
+      const LatticeFilter& filter = sweep_.lattice.filters[static_cast<std::size_t>(k)];
+      const auto stride = static_cast<float>(filter.stride());
+      const auto inverse = static_cast<float>(1 / filter.half_width());
+      float x_low = kInfinity, x_high = -kInfinity, y_low = kInfinity, y_high = -kInfinity;
+      for (int x = 0; x < width; ++x) {
+        const Eigen::Vector2d& p = sweep_.positions.at(sweep_.view, halo_.x0 + x, y);
+        const auto i = static_cast<std::size_t>(x);
+        px[i] = static_cast<float>(std::clamp(p.x(), 0.0, lf.cols - 1.0)) / stride;
+        py[i] = static_cast<float>(std::clamp(p.y(), 0.0, lf.rows - 1.0)) / stride;
+        x_low = std::min(x_low, px[i]), x_high = std::max(x_high, px[i]);
+        y_low = std::min(y_low, py[i]), y_high = std::max(y_high, py[i]);
+      }
+      std::fill(total.begin(), total.end(), 0.0F);
+      const auto reach = static_cast<float>(filter.half_width());
+      for (int row = 0; row < filter.thinned_rows(); ++row) {
+        if (lf.rows > 1 &&
+            (static_cast<float>(row) <= y_low - reach || static_cast<float>(row) >= y_high + reach))
+          continue;
+        for (int col = 0; col < filter.thinned_cols(); ++col) {
+          if (lf.cols > 1 &&
+              (static_cast<float>(col) <= x_low - reach || static_cast<float>(col) >= x_high + reach))
+            continue;
+          const auto& stands =
+              sweep_.lattice.stands(k)[static_cast<std::size_t>(row * filter.thinned_cols() + col)];
+          if (stands.empty()) continue;
+          for (std::size_t x = 0; x < px.size(); ++x) {
+            const float along =
+                lf.cols == 1 ? 1.0F : std::max(0.0F, 1 - std::abs(static_cast<float>(col) - px[x]) * inverse);
+            const float across =
+                lf.rows == 1 ? 1.0F : std::max(0.0F, 1 - std::abs(static_cast<float>(row) - py[x]) * inverse);
+            tents[x] = along * across;
+            total[x] += tents[x];
+          }
+          for (const CameraWeight& stand : stands) {
+            const int i = slot[static_cast<std::size_t>(stand.camera)];
+            if (i < 0) continue;
+            float* w = weight_row(static_cast<std::size_t>(i), static_cast<std::size_t>(k), y);
+            for (std::size_t x = 0; x < px.size(); ++x) w[x] += tents[x] * static_cast<float>(stand.weight);
+          }
+        }
+      }
+      for (float& t : total) t = t > 0 ? 1 / t : 0;
+      for (std::size_t i = 0; i < cameras_.size(); ++i) {
+        if (constant_[i][static_cast<std::size_t>(k)] <= 0) continue;
+        float* w = weight_row(i, static_cast<std::size_t>(k), y);
+        for (std::size_t x = 0; x < px.size(); ++x) w[x] *= total[x];
+      }
+    }
+  }
+}
+
+void SweepBlock::prepare_warp() {
+  if (warp_ready_) return;
+  warp_ready_ = true;
+  make_rays();
+  make_maps();
+  make_weights();
+  warp_job_.channels = shift_job_.channels;
+  warp_job_.scale = sweep_.scale;
+  warp_job_.a = shift_job_.a;
+  warp_job_.k = static_cast<int>(sweep_.options.k);
+  warp_job_.gx = gx_.data();
+  warp_job_.gy = gy_.data();
+  warp_job_.stride = stride_;
+}
+
+bool SweepBlock::difference_by_warp(int n, const PixelRect& halo) {
+  prepare_warp();
+  defined_.assign(E0_.size(), 0.0F);
+  candidate_.assign(E0_.size(), 0.0F);
+  const int x = halo.x0 - padded_.x0, y = halo.y0 - padded_.y0;
+  kernels::warp_difference(warp_job_, maps_.data() + static_cast<std::size_t>(n) * cameras_.size(), x, y,
+                           halo.x1 - halo.x0, halo.y1 - halo.y0, E0_.data(), defined_.data(),
+                           candidate_.data());
+  // The last vector of a row ran over its end.
+  for (int row = halo.y0; row < halo.y1; ++row)
+    for (std::vector<float>* raster : {&E0_, &defined_})
+      std::fill_n(raster->data() + index_of(halo.x1, row), padded_.x1 - halo.x1 + 16, 0.0F);
+  return false;
+}
+
+void SweepBlock::evaluate(int n, int x0, int x1) {
+  const int M_x = sweep_.M_x, M_y = sweep_.M_y;
+  const PixelRect padded{x0 - M_x, padded_.y0, x1 + M_x, padded_.y1};
+  const PixelRect halo = intersection(padded, halo_);
+  const int width = x1 - x0, height = rect_.y1 - rect_.y0;
+  const auto clear_outside = [&](std::vector<float>& raster) {
+    for (int y = padded.y0; y < padded.y1; ++y) {
+      float* row = raster.data() + index_of(padded.x0, y);
+      if (y < halo.y0 || y >= halo.y1) {
+        std::fill_n(row, padded.x1 - padded.x0, 0.0F);
+        continue;
+      }
+      std::fill_n(row, halo.x0 - padded.x0, 0.0F);
+      std::fill_n(raster.data() + index_of(halo.x1, y), padded.x1 - halo.x1, 0.0F);
+    }
+  };
+  const bool everywhere = by_shift_ ? difference_by_shift(halo, shifts_of(n)) : difference_by_warp(n, halo);
+  clear_outside(E0_);
+  const std::size_t first = static_cast<std::size_t>(x0 - rect_.x0);
+  kernels::box_sum(E0_at(padded.x0, padded.y0), stride_, width, height, M_x, M_y, sum_.data() + first,
+                   stride_, scratch_);
+  if (everywhere) {
+    // Pixels of the window that lie in the picture.
+    const auto inside = [](int at, int M, int size) {
+      return std::min(at + M, size - 1) - std::max(at - M, 0) + 1;
+    };
+    std::vector<float> columns(static_cast<std::size_t>(width));
+    for (int x = x0; x < x1; ++x)
+      columns[static_cast<std::size_t>(x - x0)] = static_cast<float>(inside(x, M_x, sweep_.view.width));
+    for (int y = 0; y < height; ++y) {
+      const auto rows = static_cast<float>(inside(rect_.y0 + y, M_y, sweep_.view.height));
+      float* count = count_.data() + static_cast<std::size_t>(y) * stride_ + first;
+      for (std::size_t x = 0; x < columns.size(); ++x) count[x] = rows * columns[x];
+    }
+  } else {
+    clear_outside(defined_);
+    kernels::box_sum(defined_.data() + index_of(padded.x0, padded.y0), stride_, width, height, M_x, M_y,
+                     count_.data() + first, stride_, scratch_);
+  }
+  for (int y = 0; y < height; ++y) {
+    const std::size_t at = static_cast<std::size_t>(y) * stride_ + first;
+    kernels::add_plane({E_min_.data() + at, plane_.data() + at, E_sum_.data() + at, E_count_.data() + at}, n,
+                       width, sum_.data() + at, count_.data() + at,
+                       everywhere ? nullptr : candidate_.data() + index_of(x0, rect_.y0 + y), sweep_.tie);
+  }
+}
+
+void SweepBlock::choose(int n, int x0, int x1) {
+  for (int y = 0; y < rect_.y1 - rect_.y0; ++y)
+    std::fill_n(plane_.data() + static_cast<std::size_t>(y) * stride_ + (x0 - rect_.x0), x1 - x0, n);
+}
+
+void SweepBlock::write(RenderedView& out) {
+  prepare_warp();
+  const int width = rect_.x1 - rect_.x0, height = rect_.y1 - rect_.y0, channels = warp_job_.channels;
+  // The kernel walks the block without its halo.
+  kernels::WarpJob job = warp_job_;
+  const std::size_t offset = index_of(rect_.x0, rect_.y0);
+  job.gx += offset;
+  job.gy += offset;
+  for (kernels::WarpCamera& camera : job.cameras)
+    for (const float*& weight : camera.weight)
+      if (weight != nullptr) weight += offset;
+  const std::size_t plane_size = plane_.size();
+  std::vector<float> colour(plane_size * static_cast<std::size_t>(channels)), coverage(plane_size);
+  kernels::warp_colour(job, maps_.data(), plane_.data(), width, height, colour.data(), plane_size,
+                       coverage.data());
+  const LatticeChart& chart = sweep_.lattice.chart;
+  const bool constant_hull = sweep_.positions.constant && chart.inside_hull(sweep_.positions.p[0]);
+  for (int y = 0; y < height; ++y) {
+    for (int x = 0; x < width; ++x) {
+      const std::size_t i = static_cast<std::size_t>(y) * stride_ + static_cast<std::size_t>(x);
+      const int X = rect_.x0 + x, Y = rect_.y0 + y;
+      const int n = plane_[i];
+      out.plane.at(X, Y) = n;
+      if (n < 0) continue;
+      for (int c = 0; c < channels; ++c)
+        out.colour.at(X, Y, c) = colour[plane_size * static_cast<std::size_t>(c) + i];
+      out.disparity.at(X, Y) = static_cast<float>(sweep_.disparities[static_cast<std::size_t>(n)]);
+      const float contrast =
+          E_sum_[i] > 0 ? std::clamp(1 - E_min_[i] * E_count_[i] / E_sum_[i], 0.0F, 1.0F) : 0.0F;
+      const bool inside = sweep_.positions.constant
+                              ? constant_hull
+                              : chart.inside_hull(sweep_.positions.at(sweep_.view, X, Y));
+      out.confidence.at(X, Y) = inside ? coverage[i] * contrast : 0.0F;
+    }
+  }
+}
+
+}  // namespace stuv

@@ -1,0 +1,108 @@
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <vector>
+
+#include "core/view.h"
+#include "render/cpu/sweep_kernels.h"
+#include "render/lattice_positions.h"
+#include "render/pixel_store.h"
+
+namespace stuv {
+
+/// The lattice and the filters of one light field.
+struct SweepLattice {
+  explicit SweepLattice(const ViewSet& views);
+
+  LatticeChart chart;
+  std::vector<LatticeFilter> filters;  ///< by Filter
+  /// Per filter and node of the thinned lattice, row by row: who stands there.
+  const std::vector<std::vector<CameraWeight>>& stands(int filter) const {
+    return filters[static_cast<std::size_t>(filter)].bridges();
+  }
+};
+
+/// What all blocks of one picture share.
+struct Sweep {
+  Sweep(PixelStore& pixels, const SweepLattice& sweep_lattice, const Viewpoint& viewpoint,
+        const RenderOptions& render_options);
+
+  PixelStore& store;
+  const SweepLattice& lattice;
+  const Viewpoint view;
+  const RenderOptions options;
+  std::vector<double> disparities;  ///< of plane n
+  LatticePositions positions;
+  /// Weights by filter of all cameras, where they are the same for the whole picture.
+  std::array<std::vector<CameraWeight>, 3> constant;
+  bool parallel = false;
+  float scale = 1;       ///< of stored values: 1/255, 1/65535 or 1
+  float tie = 0;         ///< costs that differ by no more are equal
+  int M_x = 0, M_y = 0;  ///< the window, no larger than the picture needs
+};
+
+/// Planes evaluated on one rectangle of the output picture: equations 5 to 8 for it. All memory is the
+/// block's own, so blocks run in parallel and their results do not depend on how the picture is divided.
+class SweepBlock {
+ public:
+  SweepBlock(const Sweep& sweep, const PixelRect& rect);
+
+  /// Plane n, farther ones first, on columns [x0, x1) of the picture, which must lie in the block.
+  void evaluate(int n, int x0, int x1);
+  void evaluate(int n) { evaluate(n, rect_.x0, rect_.x1); }
+  /// Plane n is chosen on those columns without looking at any cost.
+  void choose(int n, int x0, int x1);
+  /// Writes colour, disparity, plane and confidence of the block.
+  void write(RenderedView& out);
+
+  const PixelRect& rect() const { return rect_; }
+  /// The costs of the chosen planes, block row y.
+  const float* E_min(int y) const { return E_min_.data() + static_cast<std::size_t>(y) * stride_; }
+  const std::int32_t* plane(int y) const { return plane_.data() + static_cast<std::size_t>(y) * stride_; }
+  /// Multiply-adds that the differences took.
+  double multiply_adds() const { return multiply_adds_; }
+
+ private:
+  struct Shift {
+    int dx = 0, dy = 0;
+    float ax = 0, ay = 0;
+    PixelRect valid;  ///< output pixels all of whose taps are there
+    bool visible = false;
+  };
+  void find_cameras();
+  void acquire_views();
+  void make_weights();
+  void make_rays();
+  void make_maps();
+  bool meets_at_one_offset() const;
+  std::vector<Shift> shifts_of(int n) const;
+  bool difference_by_shift(const PixelRect& halo, const std::vector<Shift>& shifts);
+  bool difference_by_warp(int n, const PixelRect& halo);
+  void fill_shift_job(const std::vector<Shift>& shifts, const PixelRect& part, bool& defined,
+                      bool& candidate);
+  void prepare_warp();
+  float* E0_at(int x, int y) { return E0_.data() + index_of(x, y); }
+  std::size_t index_of(int x, int y) const {
+    return static_cast<std::size_t>(y - padded_.y0) * stride_ + static_cast<std::size_t>(x - padded_.x0);
+  }
+
+  const Sweep& sweep_;
+  PixelRect rect_, halo_, padded_;  ///< outputs; with the window, inside the picture; with all of the window
+  std::size_t stride_ = 0;          ///< of all rasters of the block
+  std::vector<int> cameras_;        ///< that have a part in it
+  std::vector<std::array<double, 3>> constant_;  ///< their weights by filter
+  std::vector<std::shared_ptr<const StoredView>> views_;
+  std::vector<char> masked_;
+  bool any_masked_ = false, by_shift_ = false;
+  kernels::ShiftJob shift_job_;
+  kernels::WarpJob warp_job_;
+  bool warp_ready_ = false;
+  std::vector<kernels::WarpMap> maps_;  ///< [plane][camera]
+  std::vector<float> gx_, gy_, weights_;
+  std::vector<float> E0_, defined_, candidate_, sum_, count_, E_min_, E_sum_, E_count_, scratch_;
+  std::vector<std::int32_t> plane_;
+  double multiply_adds_ = 0;
+};
+
+}  // namespace stuv

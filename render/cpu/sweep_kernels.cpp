@@ -1,0 +1,563 @@
+#include "render/cpu/sweep_kernels.h"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+
+#include "render/focal_plane.h"
+
+// Vectors are kept in arrays, which the sizeless types of SVE and RVV do not allow.
+#define HWY_DISABLED_TARGETS                                                                        \
+  (HWY_SSSE3 | HWY_AVX3_DL | HWY_SVE | HWY_SVE2 | HWY_SVE_256 | HWY_SVE2_128 | HWY_RVV | HWY_WASM | \
+   HWY_WASM_EMU256)
+#undef HWY_TARGET_INCLUDE
+#define HWY_TARGET_INCLUDE "render/cpu/sweep_kernels.cpp"
+#include "hwy/foreach_target.h"
+#include "hwy/highway.h"
+
+HWY_BEFORE_NAMESPACE();
+namespace stuv::kernels::HWY_NAMESPACE {
+namespace {
+
+namespace hn = hwy::HWY_NAMESPACE;
+using D = hn::ScalableTag<float>;
+using DI = hn::RebindToSigned<D>;
+using V = hn::Vec<D>;
+using VI = hn::Vec<DI>;
+using M = hn::Mask<D>;
+
+constexpr D d;
+constexpr DI di;
+
+/// As many samples as a vector has lanes, as float.
+template <class T>
+HWY_INLINE V load(const T* p) {
+  if constexpr (std::is_same_v<T, float>)
+    return hn::LoadU(d, p);
+  else
+    return hn::ConvertTo(d, hn::PromoteTo(di, hn::LoadU(hn::Rebind<T, DI>(), p)));
+}
+
+/// Output rows at a time: as many as the registers hold.
+constexpr int kRows = HWY_TARGET == HWY_AVX3 || HWY_TARGET == HWY_NEON ? 8 : 4;
+
+/// Adds R output rows of one tap: row r of the picture is the upper row of output r and the lower one of r
+/// - 1.
+template <class T, int R, bool second, bool two_rows, bool two_columns>
+HWY_INLINE void add_tap(const T* HWY_RESTRICT p, std::size_t stride, const ShiftTap& tap, V* a1, V* a2) {
+  V w1[4], w2[4];
+#pragma GCC unroll 4
+  for (int k = 0; k < 4; ++k) {
+    w1[k] = hn::Set(d, tap.w1[k]);
+    w2[k] = hn::Set(d, tap.w2[k]);
+  }
+#pragma GCC unroll 16
+  for (int r = 0; r < R + (two_rows ? 1 : 0); ++r) {
+#pragma GCC unroll 2
+    for (int right = 0; right < (two_columns ? 2 : 1); ++right) {
+      const V row = load(p + r * stride + right);
+      if (r < R) {
+        a1[r] = hn::MulAdd(w1[right], row, a1[r]);
+        if constexpr (second) a2[r] = hn::MulAdd(w2[right], row, a2[r]);
+      }
+      if (two_rows && r > 0) {
+        a1[r - 1] = hn::MulAdd(w1[2 + right], row, a1[r - 1]);
+        if constexpr (second) a2[r - 1] = hn::MulAdd(w2[2 + right], row, a2[r - 1]);
+      }
+    }
+  }
+}
+
+template <class T, int R, bool second>
+HWY_INLINE void add_tap_of(const ShiftTap& tap, const T* p, std::size_t stride, V* a1, V* a2) {
+  if (tap.two_rows && tap.two_columns)
+    add_tap<T, R, second, true, true>(p, stride, tap, a1, a2);
+  else if (tap.two_rows)
+    add_tap<T, R, second, true, false>(p, stride, tap, a1, a2);
+  else if (tap.two_columns)
+    add_tap<T, R, second, false, true>(p, stride, tap, a1, a2);
+  else
+    add_tap<T, R, second, false, false>(p, stride, tap, a1, a2);
+}
+
+/// One channel of R rows; `pixels`: where each tap begins.
+template <class T, int R>
+HWY_NOINLINE void add_channel(const ShiftJob& job, const T* const* pixels, std::size_t stride, int width,
+                              bool first, float* HWY_RESTRICT E0, std::size_t E0_stride) {
+  const V a01 = hn::Set(d, job.a.a01), a02 = hn::Set(d, job.a.a02), a12 = hn::Set(d, job.a.a12);
+  const bool third = job.a.a12 != 0;
+  const ShiftTap* taps = job.taps.data();
+  const std::size_t count = job.taps.size();
+  for (int i = 0; i < width; i += static_cast<int>(hn::Lanes(d))) {
+    V a1[R], a2[R];
+#pragma GCC unroll 16
+    for (int r = 0; r < R; ++r) a1[r] = a2[r] = hn::Zero(d);
+    for (std::size_t t = 0; t < job.in_second; ++t)
+      add_tap_of<T, R, true>(taps[t], pixels[t] + i, stride, a1, a2);
+    for (std::size_t t = job.in_second; t < count; ++t)
+      add_tap_of<T, R, false>(taps[t], pixels[t] + i, stride, a1, a2);
+#pragma GCC unroll 16
+    for (int r = 0; r < R; ++r) {
+      V e = hn::MulAdd(a01, hn::Abs(a1[r]), hn::Mul(a02, hn::Abs(a2[r])));
+      if (third) e = hn::MulAdd(a12, hn::Abs(hn::Sub(a2[r], a1[r])), e);
+      float* out = E0 + r * E0_stride + i;
+      if (!first) e = hn::Add(e, hn::LoadU(d, out));
+      hn::StoreU(e, d, out);
+    }
+  }
+}
+
+template <class T, int R>
+void shift_rows(const ShiftJob& job, int x, int y, int width, float* E0, std::size_t E0_stride) {
+  static thread_local std::vector<const T*> pixels;
+  pixels.resize(job.taps.size());
+  const std::size_t stride = static_cast<std::size_t>(job.taps.empty() ? 0 : job.taps.front().view->width);
+  for (int c = 0; c < job.channels; ++c) {
+    for (std::size_t t = 0; t < pixels.size(); ++t)
+      pixels[t] =
+          job.taps[t].view->plane<T>(c) + job.taps[t].offset + static_cast<std::ptrdiff_t>(y * stride) + x;
+    add_channel<T, R>(job, pixels.data(), stride, width, c == 0, E0, E0_stride);
+  }
+}
+
+template <class T>
+void shift_all(const ShiftJob& job, int x, int y, int width, int height, float* E0, std::size_t stride) {
+  int row = 0;
+  for (; row + kRows <= height; row += kRows)
+    shift_rows<T, kRows>(job, x, y + row, width, E0 + row * stride, stride);
+  for (; row + 2 <= height; row += 2) shift_rows<T, 2>(job, x, y + row, width, E0 + row * stride, stride);
+  for (; row < height; ++row) shift_rows<T, 1>(job, x, y + row, width, E0 + row * stride, stride);
+}
+
+void ShiftDifference(const ShiftJob& job, int x, int y, int width, int height, float* E0,
+                     std::size_t stride) {
+  if (job.type == PixelType::u8)
+    shift_all<std::uint8_t>(job, x, y, width, height, E0, stride);
+  else if (job.type == PixelType::u16)
+    shift_all<std::uint16_t>(job, x, y, width, height, E0, stride);
+  else
+    shift_all<float>(job, x, y, width, height, E0, stride);
+}
+
+/// Where a camera sees one vector of rays: upper left taps and fractions; `valid` as FocalPlaneRenderer says.
+struct Place {
+  VI x, y;
+  V ax, ay;
+  M valid;
+  bool contiguous;  ///< lanes lie side by side in one row
+};
+
+struct VectorMap {
+  VI whole_x, whole_y;
+  V frac_x, frac_y, slope;
+  M visible;
+};
+
+HWY_INLINE void split(V at, VI whole, int limit, VI& index, V& fraction, M& valid) {
+  const V nearest = hn::Round(at);
+  const M snaps =
+      hn::Lt(hn::Abs(hn::Sub(at, nearest)), hn::Set(d, static_cast<float>(FocalPlaneRenderer::kSnap_px)));
+  at = hn::IfThenElse(snaps, nearest, at);
+  // Also false for NaN.
+  valid = hn::And(valid, hn::Lt(hn::Abs(at), hn::Set(d, 1e6F)));
+  const V below = hn::Floor(at);
+  fraction = hn::IfThenElseZero(valid, hn::Sub(at, below));
+  index = hn::Add(whole, hn::ConvertTo(di, hn::IfThenElseZero(valid, below)));
+  const VI end =
+      hn::Sub(hn::Set(di, limit),
+              hn::IfThenElseZero(hn::RebindMask(di, hn::Gt(fraction, hn::Zero(d))), hn::Set(di, 1)));
+  const auto inside = hn::And(hn::Gt(index, hn::Set(di, -1)), hn::Lt(index, end));
+  valid = hn::And(valid, hn::RebindMask(d, inside));
+}
+
+HWY_INLINE Place place_of(const VectorMap& map, const StoredView& view, V gx, V gy) {
+  Place out;
+  out.valid = map.visible;
+  split(hn::MulAdd(map.slope, gx, map.frac_x), map.whole_x, view.width, out.x, out.ax, out.valid);
+  split(hn::MulAdd(map.slope, gy, map.frac_y), map.whole_y, view.height, out.y, out.ay, out.valid);
+  const auto valid = hn::RebindMask(di, out.valid);
+  const VI first_x = hn::Set(di, hn::GetLane(out.x)), first_y = hn::Set(di, hn::GetLane(out.y));
+  out.contiguous = hn::AllTrue(
+      di, hn::And(valid, hn::And(hn::Eq(out.y, first_y), hn::Eq(out.x, hn::Add(first_x, hn::Iota(di, 0))))));
+  out.x = hn::IfThenElseZero(valid, out.x);
+  out.y = hn::IfThenElseZero(valid, out.y);
+  out.ax = hn::IfThenElseZero(out.valid, out.ax);
+  out.ay = hn::IfThenElseZero(out.valid, out.ay);
+  return out;
+}
+
+/// The four taps of each lane, of one channel.
+struct Taps {
+  V p00, p01, p10, p11;
+};
+
+/// Index of the right and lower neighbours; a tap of weight 0 may lie outside: the pixel stands in for it.
+struct Indices {
+  VI upper, lower, right;  ///< `right`: 1 or 0
+};
+
+HWY_INLINE Indices indices_of(const Place& at, int stride) {
+  const VI one = hn::Set(di, 1);
+  Indices out;
+  out.upper = hn::Add(hn::Mul(at.y, hn::Set(di, stride)), at.x);
+  out.right = hn::IfThenElseZero(hn::RebindMask(di, hn::Gt(at.ax, hn::Zero(d))), one);
+  const VI down = hn::IfThenElseZero(hn::RebindMask(di, hn::Gt(at.ay, hn::Zero(d))), hn::Set(di, stride));
+  out.lower = hn::Add(out.upper, down);
+  return out;
+}
+
+/// Integers: one gather of 32 bits brings both taps of a row.
+template <class T>
+HWY_INLINE void gather_pair(const T* plane, VI index, VI right, V& p0, V& p1) {
+  if constexpr (std::is_same_v<T, float>) {
+    p0 = hn::GatherIndex(d, plane, index);
+    p1 = hn::GatherIndex(d, plane, hn::Add(index, right));
+  } else {
+    constexpr int kBits = 8 * sizeof(T);
+    const VI both = hn::GatherOffset(di, reinterpret_cast<const std::int32_t*>(plane),
+                                     hn::ShiftLeft<sizeof(T) / 2>(index));
+    const VI low = hn::Set(di, (1 << kBits) - 1);
+    p0 = hn::ConvertTo(d, hn::And(both, low));
+    p1 = hn::ConvertTo(d, hn::And(hn::ShiftRight<kBits>(both), low));
+  }
+}
+
+template <class T>
+HWY_INLINE V sample(const T* plane, const Place& at, const Indices& index, std::size_t stride) {
+  Taps t;
+  if (at.contiguous) {
+    const std::ptrdiff_t first = hn::GetLane(index.upper);
+    // Lanes of other planes may have other fractions, and some of them none.
+    const M right = hn::Gt(at.ax, hn::Zero(d)), down = hn::Gt(at.ay, hn::Zero(d));
+    const T* p = plane + first;
+    const T* q = hn::AllFalse(d, down) ? p : p + stride;
+    t.p00 = load(p);
+    t.p01 = hn::IfThenElse(right, load(p + 1), t.p00);
+    t.p10 = hn::IfThenElse(down, load(q), t.p00);
+    t.p11 = hn::IfThenElse(down, hn::IfThenElse(right, load(q + 1), t.p10), t.p01);
+  } else {
+    gather_pair(plane, index.upper, index.right, t.p00, t.p01);
+    gather_pair(plane, index.lower, index.right, t.p10, t.p11);
+  }
+  const V upper = hn::MulAdd(at.ax, hn::Sub(t.p01, t.p00), t.p00);
+  const V lower = hn::MulAdd(at.ax, hn::Sub(t.p11, t.p10), t.p10);
+  return hn::MulAdd(at.ay, hn::Sub(lower, upper), upper);
+}
+
+/// Lanes all of whose taps are there.
+HWY_INLINE M present(const std::uint8_t* mask, const Indices& index) {
+  V p00, p01, p10, p11;
+  gather_pair(mask, index.upper, index.right, p00, p01);
+  gather_pair(mask, index.lower, index.right, p10, p11);
+  const V zero = hn::Zero(d);
+  // Without a right neighbour the second value of a pair is somebody else's.
+  const auto alone = hn::RebindMask(d, hn::Eq(index.right, hn::Zero(di)));
+  p01 = hn::IfThenElse(alone, p00, p01);
+  p11 = hn::IfThenElse(alone, p10, p11);
+  return hn::Gt(hn::Min(hn::Min(p00, p01), hn::Min(p10, p11)), zero);
+}
+
+/// Weighted sums of one vector of pixels by filter and channel.
+struct Sums {
+  V colour[3][3];
+  V weight[3];
+};
+
+template <class T>
+HWY_INLINE void add_camera(const WarpJob& job, const WarpCamera& camera, const VectorMap& map, V gx, V gy,
+                           const V* weight, const bool* takes_part, Sums& sums) {
+  const StoredView& view = *camera.view;
+  Place at = place_of(map, view, gx, gy);
+  if (hn::AllFalse(d, at.valid)) return;
+  const Indices index = indices_of(at, view.width);
+  M valid = at.valid;
+  if (camera.masked) valid = hn::And(valid, present(view.mask_plane(), index));
+  V w[3];
+#pragma GCC unroll 3
+  for (int k = 0; k < 3; ++k) {
+    w[k] = hn::IfThenElseZero(valid, weight[k]);
+    if (takes_part[k]) sums.weight[k] = hn::Add(sums.weight[k], w[k]);
+  }
+  for (int c = 0; c < job.channels; ++c) {
+    const V value = sample(view.plane<T>(c), at, index, static_cast<std::size_t>(view.width));
+#pragma GCC unroll 3
+    for (int k = 0; k < 3; ++k)
+      if (takes_part[k]) sums.colour[k][c] = hn::MulAdd(w[k], value, sums.colour[k][c]);
+  }
+}
+
+HWY_INLINE void clear(Sums& sums) {
+  for (int k = 0; k < 3; ++k) {
+    sums.weight[k] = hn::Zero(d);
+    for (int c = 0; c < 3; ++c) sums.colour[k][c] = hn::Zero(d);
+  }
+}
+
+HWY_INLINE void dispatch(const WarpJob& job, const WarpCamera& camera, const VectorMap& map, V gx, V gy,
+                         const V* weight, const bool* takes_part, Sums& sums) {
+  if (camera.view->type == PixelType::u8)
+    add_camera<std::uint8_t>(job, camera, map, gx, gy, weight, takes_part, sums);
+  else if (camera.view->type == PixelType::u16)
+    add_camera<std::uint16_t>(job, camera, map, gx, gy, weight, takes_part, sums);
+  else
+    add_camera<float>(job, camera, map, gx, gy, weight, takes_part, sums);
+}
+
+HWY_INLINE V pair_difference(const WarpJob& job, const Sums& sums, const V* inverse, int k, int l) {
+  V e = hn::Zero(d);
+  for (int c = 0; c < job.channels; ++c)
+    e = hn::Add(
+        e, hn::Abs(hn::Sub(hn::Mul(sums.colour[k][c], inverse[k]), hn::Mul(sums.colour[l][c], inverse[l]))));
+  return hn::Mul(e, hn::Set(d, job.scale));
+}
+
+void WarpDifference(const WarpJob& job, const WarpMap* maps, int x, int y, int width, int height, float* E0,
+                    float* defined, float* candidate) {
+  const int lanes = static_cast<int>(hn::Lanes(d));
+  const float a[3] = {job.a.a01, job.a.a02, job.a.a12};
+  const int first[3] = {0, 0, 1}, second[3] = {1, 2, 2};
+  for (int row = y; row < y + height; ++row) {
+    for (int col = x; col < x + width; col += lanes) {
+      const std::size_t i = static_cast<std::size_t>(row) * job.stride + col;
+      const V gx = hn::LoadU(d, job.gx + i), gy = hn::LoadU(d, job.gy + i);
+      Sums sums;
+      clear(sums);
+      for (std::size_t c = 0; c < job.cameras.size(); ++c) {
+        const WarpCamera& camera = job.cameras[c];
+        const WarpMap& m = maps[c];
+        if (!m.visible) continue;
+        V weight[3];
+        bool takes_part[3];
+        V any = hn::Zero(d);
+        for (int k = 0; k < 3; ++k) {
+          takes_part[k] = camera.weight[k] != nullptr;
+          weight[k] = takes_part[k] ? hn::LoadU(d, camera.weight[k] + i) : hn::Zero(d);
+          any = hn::Max(any, weight[k]);
+        }
+        if (hn::AllFalse(d, hn::Gt(any, hn::Zero(d)))) continue;
+        const VectorMap map{hn::Set(di, m.whole_x), hn::Set(di, m.whole_y), hn::Set(d, m.frac_x),
+                            hn::Set(d, m.frac_y),   hn::Set(d, m.slope),    hn::FirstN(d, lanes)};
+        dispatch(job, camera, map, gx, gy, weight, takes_part, sums);
+      }
+      V inverse[3];
+      M good[3];
+      for (int k = 0; k < 3; ++k) {
+        good[k] = hn::Ge(sums.weight[k], hn::Set(d, FocalPlaneRenderer::kLeastCoverage));
+        const M any = hn::Gt(sums.weight[k], hn::Zero(d));
+        inverse[k] = hn::IfThenElseZero(any, hn::Div(hn::Set(d, 1), sums.weight[k]));
+      }
+      V e = hn::Zero(d);
+      M all = hn::FirstN(d, lanes);
+      for (int p = 0; p < 3; ++p) {
+        if (a[p] == 0) continue;
+        e = hn::MulAdd(hn::Set(d, a[p]), pair_difference(job, sums, inverse, first[p], second[p]), e);
+        all = hn::And(all, hn::And(good[first[p]], good[second[p]]));
+      }
+      hn::StoreU(hn::IfThenElseZero(all, e), d, E0 + i);
+      hn::StoreU(hn::IfThenElseZero(all, hn::Set(d, 1)), d, defined + i);
+      hn::StoreU(hn::IfThenElseZero(hn::Gt(sums.weight[job.k], hn::Zero(d)), hn::Set(d, 1)), d,
+                 candidate + i);
+    }
+  }
+}
+
+/// The maps of one camera at each lane's plane.
+HWY_INLINE VectorMap gather_map(const WarpMap* maps, VI plane, int cameras, int camera) {
+  static_assert(sizeof(WarpMap) == 6 * 4);
+  const VI at = hn::Mul(hn::Add(hn::Mul(plane, hn::Set(di, cameras)), hn::Set(di, camera)), hn::Set(di, 6));
+  const auto* i = reinterpret_cast<const std::int32_t*>(maps);
+  const auto* f = reinterpret_cast<const float*>(maps);
+  const VI visible = hn::GatherIndex(di, i + 5, at);
+  return {hn::GatherIndex(di, i, at),    hn::GatherIndex(di, i + 1, at),
+          hn::GatherIndex(d, f + 2, at), hn::GatherIndex(d, f + 3, at),
+          hn::GatherIndex(d, f + 4, at), hn::RebindMask(d, hn::Gt(visible, hn::Zero(di)))};
+}
+
+void WarpColour(const WarpJob& job, const WarpMap* maps, const std::int32_t* plane, int width, int height,
+                float* colour, std::size_t plane_size, float* coverage) {
+  const int lanes = static_cast<int>(hn::Lanes(d));
+  bool takes_part[3] = {false, false, false};
+  takes_part[job.k] = true;
+  const int cameras = static_cast<int>(job.cameras.size());
+  for (int row = 0; row < height; ++row) {
+    for (int col = 0; col < width; col += lanes) {
+      const std::size_t i = static_cast<std::size_t>(row) * job.stride + col;
+      const V gx = hn::LoadU(d, job.gx + i), gy = hn::LoadU(d, job.gy + i);
+      const VI n = hn::LoadU(di, plane + i);
+      const auto found = hn::RebindMask(d, hn::Gt(n, hn::Set(di, -1)));
+      const VI chosen = hn::Max(n, hn::Zero(di));
+      const std::int32_t first = hn::GetLane(chosen);
+      const bool same = hn::AllTrue(di, hn::Eq(chosen, hn::Set(di, first)));
+      Sums sums;
+      clear(sums);
+      for (int c = 0; c < cameras; ++c) {
+        const WarpCamera& camera = job.cameras[static_cast<std::size_t>(c)];
+        if (camera.weight[job.k] == nullptr) continue;
+        V weight[3] = {hn::Zero(d), hn::Zero(d), hn::Zero(d)};
+        weight[job.k] = hn::IfThenElseZero(found, hn::LoadU(d, camera.weight[job.k] + i));
+        if (hn::AllFalse(d, hn::Gt(weight[job.k], hn::Zero(d)))) continue;
+        VectorMap map;
+        if (same) {
+          const WarpMap& m = maps[static_cast<std::size_t>(first) * cameras + c];
+          map = {hn::Set(di, m.whole_x), hn::Set(di, m.whole_y), hn::Set(d, m.frac_x),
+                 hn::Set(d, m.frac_y),   hn::Set(d, m.slope),    hn::FirstN(d, m.visible ? lanes : 0)};
+        } else {
+          map = gather_map(maps, chosen, cameras, c);
+        }
+        dispatch(job, camera, map, gx, gy, weight, takes_part, sums);
+      }
+      const M any = hn::Gt(sums.weight[job.k], hn::Zero(d));
+      const V inverse = hn::IfThenElseZero(any, hn::Div(hn::Set(d, job.scale), sums.weight[job.k]));
+      for (int c = 0; c < job.channels; ++c)
+        hn::StoreU(hn::Mul(sums.colour[job.k][c], inverse), d, colour + plane_size * c + i);
+      hn::StoreU(hn::Min(sums.weight[job.k], hn::Set(d, 1)), d, coverage + i);
+    }
+  }
+}
+
+/// out += in, count values (rounded up to vectors).
+HWY_INLINE void add_row(const float* in, float* out, int count) {
+  for (int i = 0; i < count; i += static_cast<int>(hn::Lanes(d)))
+    hn::StoreU(hn::Add(hn::LoadU(d, out + i), hn::LoadU(d, in + i)), d, out + i);
+}
+
+/// Calls add(offset) for the parts of a window of `length`, and doubles(have) to double sums of `have`
+/// values.
+template <class Add, class Double>
+HWY_INLINE void by_doubling(int length, const Add& add, const Double& doubles) {
+  int offset = 0;
+  for (int have = 1;; have *= 2) {
+    if (length & have) {
+      add(offset);
+      offset += have;
+    }
+    if (offset == length) return;
+    doubles(have);
+  }
+}
+
+void BoxSum(float* in, std::size_t in_stride, int width, int height, int M_x, int M_y, float* out,
+            std::size_t out_stride, std::vector<float>& scratch) {
+  const int rows = height + 2 * M_y, cols = width + 2 * M_x;
+  scratch.resize(static_cast<std::size_t>(width) + 64);
+  float* sum = scratch.data();
+  for (int y = 0; y < rows; ++y) {
+    float* row = in + static_cast<std::size_t>(y) * in_stride;
+    std::fill_n(sum, width, 0.0F);
+    by_doubling(
+        2 * M_x + 1, [&](int offset) { add_row(row + offset, sum, width); },
+        [&](int have) { add_row(row + have, row, cols - have); });
+    std::copy_n(sum, width, row);
+  }
+  for (int y = 0; y < height; ++y) std::fill_n(out + static_cast<std::size_t>(y) * out_stride, width, 0.0F);
+  int have_rows = rows;
+  by_doubling(
+      2 * M_y + 1,
+      [&](int offset) {
+        for (int y = 0; y < height; ++y)
+          add_row(in + static_cast<std::size_t>(y + offset) * in_stride,
+                  out + static_cast<std::size_t>(y) * out_stride, width);
+      },
+      [&](int have) {
+        have_rows -= have;
+        for (int y = 0; y < have_rows; ++y)
+          add_row(in + static_cast<std::size_t>(y + have) * in_stride,
+                  in + static_cast<std::size_t>(y) * in_stride, width);
+      });
+}
+
+void AddPlane(const MinimumRow& best, int n, int width, const float* sum, const float* count,
+              const float* candidate, float tie) {
+  const V infinity = hn::Inf(d), zero = hn::Zero(d), margin = hn::Set(d, tie);
+  const VI number = hn::Set(di, n);
+  const int lanes = static_cast<int>(hn::Lanes(d));
+  for (int i = 0; i < width; i += lanes) {
+    const auto here = hn::FirstN(d, static_cast<std::size_t>(width - i));
+    const V c = hn::LoadU(d, count + i);
+    M valid = here;
+    if (candidate != nullptr) valid = hn::And(valid, hn::Gt(hn::LoadU(d, candidate + i), zero));
+    const M defined = hn::And(valid, hn::Gt(c, zero));
+    const V e = hn::IfThenElse(defined, hn::Div(hn::LoadU(d, sum + i), c), infinity);
+    const V E_min = hn::LoadU(d, best.E_min + i);
+    const VI plane = hn::LoadU(di, best.plane + i);
+    const M none = hn::RebindMask(d, hn::Lt(plane, hn::Zero(di)));
+    const M better = hn::And(valid, hn::Or(none, hn::Lt(hn::Add(e, margin), E_min)));
+    hn::StoreU(hn::IfThenElse(better, e, E_min), d, best.E_min + i);
+    hn::StoreU(hn::IfThenElse(hn::RebindMask(di, better), number, plane), di, best.plane + i);
+    const V E_sum = hn::LoadU(d, best.E_sum + i), E_count = hn::LoadU(d, best.E_count + i);
+    hn::StoreU(hn::Add(E_sum, hn::IfThenElseZero(defined, e)), d, best.E_sum + i);
+    hn::StoreU(hn::Add(E_count, hn::IfThenElseZero(defined, hn::Set(d, 1))), d, best.E_count + i);
+  }
+}
+
+double MeasureMultiplyAdds(double seconds) {
+  using Clock = std::chrono::steady_clock;
+  constexpr int kChains = 10, kSteps = 20000;  // more chains than a multiply-add takes cycles
+  V chains[kChains];
+  for (int i = 0; i < kChains; ++i) chains[i] = hn::Set(d, 1.0F + 0.001F * static_cast<float>(i));
+  const V a = hn::Set(d, 0.999F), b = hn::Set(d, 0.001F);
+  double done = 0, elapsed = 0;
+  const auto start = Clock::now();
+  while (elapsed < seconds) {
+    for (int step = 0; step < kSteps; ++step) {
+#pragma GCC unroll 10
+      for (int i = 0; i < kChains; ++i) chains[i] = hn::MulAdd(a, chains[i], b);
+    }
+    done += static_cast<double>(kSteps) * kChains * static_cast<double>(hn::Lanes(d));
+    elapsed = std::chrono::duration<double>(Clock::now() - start).count();
+  }
+  V sum = chains[0];
+  for (int i = 1; i < kChains; ++i) sum = hn::Add(sum, chains[i]);
+  // So that the loop is not optimised away.
+  return hn::GetLane(sum) > -1 ? done / elapsed : 0;
+}
+
+const char* TargetName() { return hwy::TargetName(HWY_TARGET); }
+
+}  // namespace
+}  // namespace stuv::kernels::HWY_NAMESPACE
+HWY_AFTER_NAMESPACE();
+
+#if HWY_ONCE
+namespace stuv::kernels {
+
+HWY_EXPORT(ShiftDifference);
+HWY_EXPORT(WarpDifference);
+HWY_EXPORT(WarpColour);
+HWY_EXPORT(BoxSum);
+HWY_EXPORT(AddPlane);
+HWY_EXPORT(TargetName);
+HWY_EXPORT(MeasureMultiplyAdds);
+
+double multiply_adds(const ShiftJob& job) {
+  double count = 0;
+  for (std::size_t t = 0; t < job.taps.size(); ++t)
+    count += (job.taps[t].two_rows ? 2 : 1) * (job.taps[t].two_columns ? 2 : 1) * (t < job.in_second ? 2 : 1);
+  return count * job.channels;
+}
+
+void shift_difference(const ShiftJob& job, int x, int y, int width, int height, float* E0,
+                      std::size_t stride) {
+  HWY_DYNAMIC_DISPATCH(ShiftDifference)(job, x, y, width, height, E0, stride);
+}
+void warp_difference(const WarpJob& job, const WarpMap* maps, int x, int y, int width, int height, float* E0,
+                     float* defined, float* candidate) {
+  HWY_DYNAMIC_DISPATCH(WarpDifference)(job, maps, x, y, width, height, E0, defined, candidate);
+}
+void warp_colour(const WarpJob& job, const WarpMap* maps, const std::int32_t* plane, int width, int height,
+                 float* colour, std::size_t plane_size, float* coverage) {
+  HWY_DYNAMIC_DISPATCH(WarpColour)(job, maps, plane, width, height, colour, plane_size, coverage);
+}
+void box_sum(float* in, std::size_t in_stride, int width, int height, int M_x, int M_y, float* out,
+             std::size_t out_stride, std::vector<float>& scratch) {
+  HWY_DYNAMIC_DISPATCH(BoxSum)(in, in_stride, width, height, M_x, M_y, out, out_stride, scratch);
+}
+void add_plane(const MinimumRow& best, int n, int width, const float* sum, const float* count,
+               const float* candidate, float tie) {
+  HWY_DYNAMIC_DISPATCH(AddPlane)(best, n, width, sum, count, candidate, tie);
+}
+const char* target_name() { return HWY_DYNAMIC_DISPATCH(TargetName)(); }
+double measure_multiply_adds(double seconds) { return HWY_DYNAMIC_DISPATCH(MeasureMultiplyAdds)(seconds); }
+
+}  // namespace stuv::kernels
+#endif
