@@ -2,11 +2,13 @@
 
 #include <OpenImageIO/imagebuf.h>
 #include <OpenImageIO/imagebufalgo.h>
-#include <OpenImageIO/imagecache.h>
+#include <OpenImageIO/imageio.h>
 #include <fmt/format.h>
 
 #include <algorithm>
 #include <cmath>
+#include <list>
+#include <mutex>
 #include <set>
 
 #include "core/error.h"
@@ -177,35 +179,73 @@ void write_view(const LightField& lf, const View& view, const Image& image) {
                 "check the folder and the free space");
 }
 
-struct LightFieldReader::Cache {
-  OIIO::ImageCache* images = OIIO::ImageCache::create(false);
-  ~Cache() { OIIO::ImageCache::destroy(images); }
+/// Open files, those used last first. (OpenImageIO's own cache is not used: version 2.4 miscounts its memory
+/// when it is destroyed while other threads hold tiles, and who renders keeps pixels anyway.)
+struct LightFieldReader::Files {
+  static constexpr std::size_t kMostOpen = 128;
+  using Input = std::shared_ptr<OIIO::ImageInput>;
+
+  std::mutex mutex;
+  std::list<std::pair<int, Input>> open;
+
+  /// Null if the file cannot be opened.
+  Input get(int view, const fs::path& path) {
+    const std::lock_guard lock(mutex);
+    const auto found =
+        std::find_if(open.begin(), open.end(), [&](const auto& entry) { return entry.first == view; });
+    if (found != open.end()) {
+      open.splice(open.begin(), open, found);
+    } else {
+      Input input = OIIO::ImageInput::open(path.string());
+      if (!input) return nullptr;
+      open.emplace_front(view, std::move(input));
+      if (open.size() > kMostOpen) open.pop_back();
+    }
+    return open.front().second;
+  }
 };
 
-LightFieldReader::LightFieldReader(LightField lf, std::size_t cache_bytes)
-    : lf_(std::move(lf)), cache_(std::make_unique<Cache>()) {
-  cache_->images->attribute("max_memory_MB", static_cast<float>(cache_bytes) / (1 << 20));
-  cache_->images->attribute("autotile", 64);
-}
+LightFieldReader::LightFieldReader(LightField lf) : lf_(std::move(lf)), files_(std::make_unique<Files>()) {}
 LightFieldReader::~LightFieldReader() = default;
 LightFieldReader::LightFieldReader(LightFieldReader&&) noexcept = default;
 
+namespace {
+
+/// A part of a picture with all its channels, read in whole tiles (or rows, where there are none).
+bool read_part(OIIO::ImageInput& input, const OIIO::ImageSpec& spec, int level, int x, int y, ImageF& out) {
+  const bool tiled = spec.tile_width > 0;
+  const auto down = [](int at, int step) { return at / step * step; };
+  const auto up = [](int at, int step, int end) { return std::min((at + step - 1) / step * step, end); };
+  const int x0 = tiled ? down(x, spec.tile_width) : 0, y0 = tiled ? down(y, spec.tile_height) : y;
+  const int x1 = tiled ? up(x + out.width, spec.tile_width, spec.width) : spec.width;
+  const int y1 = tiled ? up(y + out.height, spec.tile_height, spec.height) : y + out.height;
+  ImageF whole(x1 - x0, y1 - y0, out.channels);
+  const bool good =
+      tiled ? input.read_tiles(0, level, x0, x1, y0, y1, 0, 1, 0, out.channels, OIIO::TypeFloat,
+                               whole.data.data())
+            : input.read_scanlines(0, level, y0, y1, 0, 0, out.channels, OIIO::TypeFloat, whole.data.data());
+  for (int row = 0; good && row < out.height; ++row)
+    std::copy_n(&whole.at(x - x0, y - y0 + row), static_cast<std::size_t>(out.width) * out.channels,
+                out.row(row));
+  return good;
+}
+
+}  // namespace
+
 ViewPixels LightFieldReader::read(int view, int level, int x, int y, int width, int height) const {
   const fs::path path = lf_.folder / lf_.views[static_cast<std::size_t>(view)].file;
-  const OIIO::ustring file(path.string());
-  OIIO::ImageSpec spec;
-  const auto fail = [&]() -> void {
-    throw Error(path.string(), fmt::format("cannot be read ({})", cache_->images->geterror()),
-                "make the scene again");
+  const Files::Input input = files_->get(view, path);
+  const auto fail = [&](const std::string& why) {
+    throw Error(path.string(), fmt::format("cannot be read ({})", why), "make the scene again");
   };
-  if (!cache_->images->get_imagespec(file, spec, 0, level)) fail();
+  if (!input) fail(OIIO::geterror());
+  const OIIO::ImageSpec spec = input->spec(0, level);
+  if (spec.width <= 0) fail(fmt::format("it has no level {}", level));
   if ((level == 0 && (spec.width != lf_.width || spec.height != lf_.height)) || spec.nchannels < lf_.channels)
     throw Error(path.string(), "does not have the size its manifest states", "make the scene again");
   const bool masked = spec.nchannels > lf_.channels;
   ImageF all(width, height, lf_.channels + (masked ? 1 : 0));
-  if (!cache_->images->get_pixels(file, 0, level, x, x + width, y, y + height, 0, 1, 0, all.channels,
-                                  OIIO::TypeFloat, all.data.data()))
-    fail();
+  if (!read_part(*input, spec, level, x, y, all)) fail(input->geterror());
   if (!masked) return {std::move(all), {}};
   ViewPixels out{ImageF(width, height, lf_.channels), Mask(width, height, 1)};
   for (std::size_t i = 0; i < out.mask.data.size(); ++i) {

@@ -69,10 +69,10 @@ struct ViewPixels {
   Mask mask;      ///< empty: all there
 };
 
-/// Reads pixels of views tile by tile through one cache of bounded size. Thread-safe.
+/// Reads pixels of views tile by tile; keeps a bounded number of files open. Thread-safe.
 class LightFieldReader {
  public:
-  explicit LightFieldReader(LightField lf, std::size_t cache_bytes = std::size_t{256} << 20);
+  explicit LightFieldReader(LightField lf);
   ~LightFieldReader();
   LightFieldReader(LightFieldReader&&) noexcept;
 
@@ -83,9 +83,9 @@ class LightFieldReader {
   ViewPixels read(int view) const;
 
  private:
-  struct Cache;
+  struct Files;
   LightField lf_;
-  std::unique_ptr<Cache> cache_;
+  std::unique_ptr<Files> files_;
 };
 
 }  // namespace stuv
