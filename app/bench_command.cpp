@@ -18,7 +18,7 @@ namespace {
 
 struct Flags : CommonFlags {
   std::filesystem::path scene, output;
-  std::string methods = "literal", planes = "13", backends = "cpu", disparity;
+  std::string methods = "literal", planes = "13", backends = "cpu", disparity, no_skip;
   int window = RenderOptions{}.window, views = 0, border = 0;
 };
 
@@ -155,6 +155,7 @@ void print_row(const Json& row) {
 RenderOptions options_of(const Flags& flags, const LightField& lf) {
   RenderOptions options;
   options.window = flags.window;
+  options.skips = parse_skips(flags.no_skip);
   options.d_min = lf.d_min;
   options.d_max = lf.d_max;
   if (!flags.disparity.empty()) std::tie(options.d_min, options.d_max) = parse_disparity(flags.disparity);
@@ -219,6 +220,10 @@ void add_bench_command(CLI::App& app, Action& action) {
       ->check(CLI::Range(0, kMostCount));
   command->add_option("--disparity", flags->disparity, "Range of the planes, px per unit of s [the scene's]")
       ->type_name("MIN,MAX");
+  command
+      ->add_option("--no-skip", flags->no_skip,
+                   "What `fast` is not to leave out, separated by commas: " + skip_names())
+      ->type_name("LIST");
   add_common_flags(*command, *flags);
   command->callback([flags, &action] { action = [flags] { return run(*flags); }; });
 }

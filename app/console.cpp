@@ -128,4 +128,33 @@ std::vector<std::string> parse_list(const std::string& flag, const std::string& 
   }
 }
 
+namespace {
+
+constexpr std::pair<const char*, bool Skips::*> kSkips[] = {
+    {"empty-planes", &Skips::empty_planes},   {"tile-planes", &Skips::tile_planes},
+    {"flat-tiles", &Skips::flat_tiles},       {"idle-cameras", &Skips::idle_cameras},
+    {"second-filter", &Skips::second_filter}, {"unread-tiles", &Skips::unread_tiles},
+    {"previous-view", &Skips::previous_view}};
+
+}  // namespace
+
+std::string skip_names() {
+  std::string names;
+  for (const auto& [name, member] : kSkips) names += (names.empty() ? "" : ", ") + std::string(name);
+  return names;
+}
+
+Skips parse_skips(const std::string& text) {
+  Skips skips;
+  if (text.empty()) return skips;
+  for (const std::string& part : parse_list("--no-skip", text)) {
+    const auto* found = std::find_if(std::begin(kSkips), std::end(kSkips),
+                                     [&](const auto& entry) { return part == entry.first; });
+    if (found == std::end(kSkips))
+      throw UsageError(fmt::format("--no-skip: there is no '{}'; {}", part, skip_names()));
+    skips.*(found->second) = false;
+  }
+  return skips;
+}
+
 }  // namespace stuv

@@ -7,6 +7,7 @@
 
 #include "core/json.h"
 #include "core/progress.h"
+#include "core/view.h"
 
 namespace stuv {
 
@@ -38,6 +39,9 @@ std::pair<int, int> parse_size(const std::string& flag, const std::string& text)
 std::pair<double, double> parse_disparity(const std::string& text);
 /// Bound of whole-number options (planes, views, pixels), so that help and errors stay readable.
 inline constexpr int kMostCount = 100'000;
+/// --no-skip: names of what `fast` is not to leave out (skip_names) switched off.
+Skips parse_skips(const std::string& text);
+std::string skip_names();
 /// "a,b,c" to its parts; empty parts are an error of the flag.
 std::vector<std::string> parse_list(const std::string& flag, const std::string& text);
 

@@ -20,7 +20,7 @@ namespace fs = std::filesystem;
 
 struct Flags : CommonFlags {
   fs::path scene, output, path, depth_out, index_out, confidence_out;
-  std::string at, size, disparity, depth_m, weights;
+  std::string at, size, disparity, depth_m, weights, no_skip;
   std::string mode = "all-in-focus", filter = "normal", method = "exact", backend = "cpu";
   std::optional<double> focus_m, focus_px;
   int planes = RenderOptions{}.planes, window = RenderOptions{}.window;
@@ -260,6 +260,7 @@ int run(const Flags& flags) {
   options.planes = flags.planes;
   options.window = flags.window;
   options.k = filter_of(flags.filter);
+  options.skips = parse_skips(flags.no_skip);
   set_weights(flags, options);
   if (all_planes)
     set_range(flags, lf, options);
@@ -350,6 +351,10 @@ void add_render_command(CLI::App& app, Action& action) {
       ->type_name("FILE");
   command->add_option("--confidence-out", flags->confidence_out, "Confidence 0..1; .pfm or picture")
       ->type_name("FILE");
+  command
+      ->add_option("--no-skip", flags->no_skip,
+                   "What `fast` is not to leave out, separated by commas: " + skip_names())
+      ->type_name("LIST");
   add_common_flags(*command, *flags);
   command->callback([flags, &action] { action = [flags] { return run(*flags); }; });
 }

@@ -21,6 +21,17 @@ struct Viewpoint {
 /// The reconstruction filters of the paper's figure 7.
 enum class Filter { normal = 0, wide = 1, skipped = 2 };
 
+/// What `fast` may leave out. Each can be switched off alone.
+struct Skips {
+  bool empty_planes = true;    ///< planes on which the coarse pass finds nothing anywhere
+  bool tile_planes = true;     ///< planes on which it finds nothing near a tile
+  bool flat_tiles = true;      ///< tiles that look the same on every plane
+  bool idle_cameras = true;    ///< cameras without weight
+  bool second_filter = true;   ///< the wide filter, where the skipped one already rules a plane out
+  bool unread_tiles = true;    ///< tiles of the database that no ray reaches
+  bool previous_view = true;   ///< the coarse pass, where the picture before tells what is to be expected
+};
+
 /// The paper's parameters, with its values as defaults.
 struct RenderOptions {
   int planes = 13;                   ///< N
@@ -28,6 +39,7 @@ struct RenderOptions {
   double a01 = 1, a02 = 1, a12 = 0;  ///< a_kl of equation 5; filters are numbered normal, wide, skipped
   Filter k = Filter::normal;         ///< the filter of the picture, equation 8
   double d_min = 0, d_max = 0;       ///< disparity of the farthest and the nearest plane [px per unit of s]
+  Skips skips;                       ///< of method `fast`
 };
 
 /// Work that was left out, and why.

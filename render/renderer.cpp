@@ -3,6 +3,7 @@
 #include <stdexcept>
 
 #include "render/all_in_focus.h"
+#include "render/cpu/fast_renderer.h"
 #include "render/cpu/sweep_renderer.h"
 #include "render/gl/gl_renderer.h"
 
@@ -33,6 +34,7 @@ std::unique_ptr<Renderer> make_renderer(Method method, Backend backend,
   if (method == Method::literal)
     return make_literal_renderer(backend == Backend::gl ? make_gl_renderer(std::move(views))
                                                         : make_cpu_renderer(std::move(views)));
+  if (method == Method::fast) return make_cpu_fast_renderer(std::move(views));
   return make_cpu_exact_renderer(std::move(views));
 }
 

@@ -87,6 +87,7 @@ Raster<T> part_of(const Raster<T>& from, int x, int y, int width, int height) {
 
 ViewPixels ViewSet::read(int camera, int x, int y, int width, int height) const {
   const auto i = static_cast<std::size_t>(camera);
+  if (source) return source(camera, x, y, width, height);
   ViewPixels out;
   if (pixels.empty()) {
     out = reader->read(reader_index[i], 0, x, y, width, height);

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <functional>
 #include <memory>
 #include <string>
 #include <vector>
@@ -17,6 +18,8 @@ struct ViewSet {
   std::vector<ViewPixels> pixels;  ///< beside `cameras`; a non-finite pixel is masked, its colour 0
   const LightFieldReader* reader = nullptr;
   std::vector<int> reader_index;  ///< beside `cameras`: number of the view in the reader's light field
+  /// Instead of both: a set whose pixels are made from another's.
+  std::function<ViewPixels(int camera, int x, int y, int width, int height)> source;
 
   /// Pixels [x, x + width) x [y, y + height) of a camera, non-finite ones masked.
   ViewPixels read(int camera, int x, int y, int width, int height) const;

@@ -76,6 +76,10 @@ Sweep::Sweep(PixelStore& pixels, const SweepLattice& sweep_lattice, const Viewpo
   M_y = std::min(options.window, view.height);
 }
 
+kernels::PairWeights Sweep::pair_weights() const {
+  return {static_cast<float>(options.a01), static_cast<float>(options.a02), static_cast<float>(options.a12)};
+}
+
 SweepBlock::SweepBlock(const Sweep& sweep, const PixelRect& rect) : sweep_(sweep), rect_(rect) {
   const int M_x = sweep.M_x, M_y = sweep.M_y;
   padded_ = {rect.x0 - M_x, rect.y0 - M_y, rect.x1 + M_x, rect.y1 + M_y};
@@ -96,8 +100,7 @@ SweepBlock::SweepBlock(const Sweep& sweep, const PixelRect& rect) : sweep_(sweep
   by_shift_ = meets_at_one_offset();
   shift_job_.type = views_.empty() ? PixelType::u8 : views_.front()->type;
   shift_job_.channels = sweep.store.views().lf.channels;
-  shift_job_.a = {static_cast<float>(sweep.options.a01), static_cast<float>(sweep.options.a02),
-                  static_cast<float>(sweep.options.a12)};
+  shift_job_.a = sweep.pair_weights();
 }
 
 void SweepBlock::find_cameras() {
@@ -135,7 +138,8 @@ void SweepBlock::find_cameras() {
     }
   }
   for (std::size_t c = 0; c < count; ++c) {
-    if (weight[c][0] <= 0 && weight[c][1] <= 0 && weight[c][2] <= 0) continue;
+    const bool idle = weight[c][0] <= 0 && weight[c][1] <= 0 && weight[c][2] <= 0;
+    if (idle && sweep_.options.skips.idle_cameras) continue;
     cameras_.push_back(static_cast<int>(c));
     constant_.push_back(weight[c]);
   }
@@ -145,7 +149,8 @@ void SweepBlock::acquire_views() {
   const ViewSet& set = sweep_.store.views();
   for (const int c : cameras_) {
     const PixelRect needed = needed_pixels(sweep_, set.cameras[static_cast<std::size_t>(c)], halo_);
-    views_.push_back(sweep_.store.acquire(c, needed));
+    views_.push_back(sweep_.store.acquire(
+        c, sweep_.options.skips.unread_tiles ? needed : PixelRect{0, 0, set.lf.width, set.lf.height}));
     masked_.push_back(any_missing(*views_.back(), needed) ? 1 : 0);
     any_masked_ = any_masked_ || masked_.back() != 0;
   }
@@ -233,7 +238,8 @@ void SweepBlock::fill_shift_job(const std::vector<Shift>& shifts, const PixelRec
     for (std::size_t i = 0; i < cameras_.size(); ++i) {
       if (!sees(i)) continue;
       const double w1 = part_of(i, 0) - part_of(i, 1), w2 = use_second ? part_of(i, 0) - part_of(i, 2) : 0.0;
-      if (second == (w2 != 0) && (w1 != 0 || w2 != 0)) add(i, w1, w2);
+      // A camera of weight 0 is here only if idle cameras are not to be skipped.
+      if (second == (w2 != 0) && (w1 != 0 || w2 != 0 || !sweep_.options.skips.idle_cameras)) add(i, w1, w2);
     }
     if (second) shift_job_.in_second = shift_job_.taps.size();
   }
@@ -241,7 +247,9 @@ void SweepBlock::fill_shift_job(const std::vector<Shift>& shifts, const PixelRec
 
 /// True if equation 5 is defined and the plane a candidate everywhere; otherwise `defined_` and `candidate_`
 /// say where.
-bool SweepBlock::difference_by_shift(const PixelRect& halo, const std::vector<Shift>& shifts) {
+bool SweepBlock::difference_by_shift(const PixelRect& halo, const std::vector<Shift>& shifts,
+                                     const kernels::PairWeights& a) {
+  shift_job_.a = a;
   // Cameras come and go along straight lines only.
   std::vector<int> xs{halo.x0, halo.x1}, ys{halo.y0, halo.y1};
   for (const Shift& s : shifts) {
@@ -294,9 +302,18 @@ bool SweepBlock::difference_by_shift(const PixelRect& halo, const std::vector<Sh
 /// Directions of the rays relative to the block's centre, so that float has the digits for them.
 void SweepBlock::make_rays() {
   const Viewpoint& view = sweep_.view;
+  const Ray centre = ray_of(view, (halo_.x0 + halo_.x1) / 2, (halo_.y0 + halo_.y1) / 2);
+  if (sweep_.parallel) {
+    gx_.assign(stride_, 0.0F);
+    gy_.assign(static_cast<std::size_t>(padded_.y1 - padded_.y0), 0.0F);
+    for (int x = halo_.x0; x < halo_.x1; ++x)
+      gx_[static_cast<std::size_t>(x - padded_.x0)] = static_cast<float>(ray_of(view, x, 0).gx - centre.gx);
+    for (int y = halo_.y0; y < halo_.y1; ++y)
+      gy_[static_cast<std::size_t>(y - padded_.y0)] = static_cast<float>(ray_of(view, 0, y).gy - centre.gy);
+    return;
+  }
   gx_.assign(E0_.size(), 0.0F);
   gy_.assign(E0_.size(), 0.0F);
-  const Ray centre = ray_of(view, (halo_.x0 + halo_.x1) / 2, (halo_.y0 + halo_.y1) / 2);
   for (int y = halo_.y0; y < halo_.y1; ++y) {
     for (int x = halo_.x0; x < halo_.x1; ++x) {
       const Ray ray = ray_of(view, x, y);
@@ -334,7 +351,9 @@ void SweepBlock::make_weights() {
   const auto wanted = [&](std::size_t i, std::size_t k) {
     return constant_[i][k] > 0 && (!by_shift_ || k == static_cast<std::size_t>(sweep_.options.k));
   };
-  const std::size_t raster = E0_.size();
+  const bool constant = sweep_.positions.constant;
+  warp_job_.weight_stride = constant ? 0 : stride_;
+  const std::size_t raster = constant ? stride_ : E0_.size();
   std::vector<std::array<std::size_t, 3>> at(cameras_.size());
   std::size_t rasters = 0;
   for (std::size_t i = 0; i < cameras_.size(); ++i)
@@ -355,12 +374,12 @@ void SweepBlock::make_weights() {
     return weights_.data() + at[i][k] + index_of(halo_.x0, y);
   };
   const int width = halo_.x1 - halo_.x0;
-  if (sweep_.positions.constant) {
+  if (constant) {
     for (std::size_t i = 0; i < cameras_.size(); ++i)
       for (std::size_t k = 0; k < 3; ++k)
         if (wanted(i, k))
-          for (int y = halo_.y0; y < halo_.y1; ++y)
-            std::fill_n(weight_row(i, k, y), width, static_cast<float>(constant_[i][k]));
+          std::fill_n(weights_.data() + at[i][k] + (halo_.x0 - padded_.x0), halo_.x1 - halo_.x0,
+                      static_cast<float>(constant_[i][k]));
     return;
   }
   const LightField& lf = sweep_.store.views().lf;
@@ -426,8 +445,9 @@ void SweepBlock::prepare_warp() {
   make_weights();
   warp_job_.channels = shift_job_.channels;
   warp_job_.scale = sweep_.scale;
-  warp_job_.a = shift_job_.a;
+  warp_job_.a = sweep_.pair_weights();
   warp_job_.k = static_cast<int>(sweep_.options.k);
+  warp_job_.parallel = sweep_.parallel;
   warp_job_.gx = gx_.data();
   warp_job_.gy = gy_.data();
   warp_job_.stride = stride_;
@@ -448,42 +468,49 @@ bool SweepBlock::difference_by_warp(int n, const PixelRect& halo) {
   return false;
 }
 
+/// Zero around `halo`, out to `padded`.
+void SweepBlock::clear_outside(std::vector<float>& raster, const PixelRect& padded, const PixelRect& halo) {
+  for (int y = padded.y0; y < padded.y1; ++y) {
+    float* row = raster.data() + index_of(padded.x0, y);
+    if (y < halo.y0 || y >= halo.y1) {
+      std::fill_n(row, padded.x1 - padded.x0, 0.0F);
+      continue;
+    }
+    std::fill_n(row, halo.x0 - padded.x0, 0.0F);
+    std::fill_n(raster.data() + index_of(halo.x1, y), padded.x1 - halo.x1, 0.0F);
+  }
+}
+
+/// count_: the pixels of each window that lie in the picture.
+void SweepBlock::count_inside(int x0, int x1) {
+  const auto inside = [](int at, int M, int size) {
+    return std::min(at + M, size - 1) - std::max(at - M, 0) + 1;
+  };
+  std::vector<float> columns(static_cast<std::size_t>(x1 - x0));
+  for (int x = x0; x < x1; ++x)
+    columns[static_cast<std::size_t>(x - x0)] = static_cast<float>(inside(x, sweep_.M_x, sweep_.view.width));
+  for (int y = rect_.y0; y < rect_.y1; ++y) {
+    const auto rows = static_cast<float>(inside(y, sweep_.M_y, sweep_.view.height));
+    float* count = count_.data() + static_cast<std::size_t>(y - rect_.y0) * stride_ + (x0 - rect_.x0);
+    for (std::size_t x = 0; x < columns.size(); ++x) count[x] = rows * columns[x];
+  }
+}
+
 void SweepBlock::evaluate(int n, int x0, int x1) {
   const int M_x = sweep_.M_x, M_y = sweep_.M_y;
   const PixelRect padded{x0 - M_x, padded_.y0, x1 + M_x, padded_.y1};
   const PixelRect halo = intersection(padded, halo_);
   const int width = x1 - x0, height = rect_.y1 - rect_.y0;
-  const auto clear_outside = [&](std::vector<float>& raster) {
-    for (int y = padded.y0; y < padded.y1; ++y) {
-      float* row = raster.data() + index_of(padded.x0, y);
-      if (y < halo.y0 || y >= halo.y1) {
-        std::fill_n(row, padded.x1 - padded.x0, 0.0F);
-        continue;
-      }
-      std::fill_n(row, halo.x0 - padded.x0, 0.0F);
-      std::fill_n(raster.data() + index_of(halo.x1, y), padded.x1 - halo.x1, 0.0F);
-    }
-  };
-  const bool everywhere = by_shift_ ? difference_by_shift(halo, shifts_of(n)) : difference_by_warp(n, halo);
-  clear_outside(E0_);
+  const bool everywhere = by_shift_ ? difference_by_shift(halo, shifts_of(n), sweep_.pair_weights())
+                                    : difference_by_warp(n, halo);
+  clear_outside(E0_, padded, halo);
   const std::size_t first = static_cast<std::size_t>(x0 - rect_.x0);
   kernels::box_sum(E0_at(padded.x0, padded.y0), stride_, width, height, M_x, M_y, sum_.data() + first,
                    stride_, scratch_);
   if (everywhere) {
-    // Pixels of the window that lie in the picture.
-    const auto inside = [](int at, int M, int size) {
-      return std::min(at + M, size - 1) - std::max(at - M, 0) + 1;
-    };
-    std::vector<float> columns(static_cast<std::size_t>(width));
-    for (int x = x0; x < x1; ++x)
-      columns[static_cast<std::size_t>(x - x0)] = static_cast<float>(inside(x, M_x, sweep_.view.width));
-    for (int y = 0; y < height; ++y) {
-      const auto rows = static_cast<float>(inside(rect_.y0 + y, M_y, sweep_.view.height));
-      float* count = count_.data() + static_cast<std::size_t>(y) * stride_ + first;
-      for (std::size_t x = 0; x < columns.size(); ++x) count[x] = rows * columns[x];
-    }
+    count_inside(x0, x1);
   } else {
-    clear_outside(defined_);
+    clear_outside(defined_, padded, halo);
     kernels::box_sum(defined_.data() + index_of(padded.x0, padded.y0), stride_, width, height, M_x, M_y,
                      count_.data() + first, stride_, scratch_);
   }
@@ -493,6 +520,32 @@ void SweepBlock::evaluate(int n, int x0, int x1) {
                        width, sum_.data() + at, count_.data() + at,
                        everywhere ? nullptr : candidate_.data() + index_of(x0, rect_.y0 + y), sweep_.tie);
   }
+}
+
+bool SweepBlock::ruled_out(int n, int x0, int x1) {
+  const kernels::PairWeights all = sweep_.pair_weights();
+  if (!by_shift_ || all.a02 == 0 || all.a01 == 0) return false;
+  const int width = x1 - x0, height = rect_.y1 - rect_.y0;
+  // Cheap first look: without any cost to beat there is nothing to rule out.
+  for (int y = 0; y < height; ++y) {
+    const float* E = E_min_.data() + static_cast<std::size_t>(y) * stride_ + (x0 - rect_.x0);
+    if (*std::max_element(E, E + width) == kInfinity) return false;
+  }
+  const int M_x = sweep_.M_x, M_y = sweep_.M_y;
+  const PixelRect padded{x0 - M_x, padded_.y0, x1 + M_x, padded_.y1};
+  const PixelRect halo = intersection(padded, halo_);
+  if (!difference_by_shift(halo, shifts_of(n), {0, all.a02, 0})) return false;
+  clear_outside(E0_, padded, halo);
+  const std::size_t first = static_cast<std::size_t>(x0 - rect_.x0);
+  kernels::box_sum(E0_at(padded.x0, padded.y0), stride_, width, height, M_x, M_y, sum_.data() + first,
+                   stride_, scratch_);
+  count_inside(x0, x1);
+  for (int y = 0; y < height; ++y) {
+    const std::size_t at = static_cast<std::size_t>(y) * stride_ + first;
+    for (std::size_t x = at; x < at + static_cast<std::size_t>(width); ++x)
+      if (sum_[x] < (E_min_[x] + sweep_.tie) * count_[x]) return false;
+  }
+  return true;
 }
 
 void SweepBlock::choose(int n, int x0, int x1) {
@@ -506,33 +559,39 @@ void SweepBlock::write(RenderedView& out) {
   // The kernel walks the block without its halo.
   kernels::WarpJob job = warp_job_;
   const std::size_t offset = index_of(rect_.x0, rect_.y0);
-  job.gx += offset;
-  job.gy += offset;
+  const std::size_t left = static_cast<std::size_t>(sweep_.M_x);
+  job.gx += job.parallel ? left : offset;
+  job.gy += job.parallel ? static_cast<std::size_t>(sweep_.M_y) : offset;
   for (kernels::WarpCamera& camera : job.cameras)
     for (const float*& weight : camera.weight)
-      if (weight != nullptr) weight += offset;
+      if (weight != nullptr) weight += job.weight_stride == 0 ? left : offset;
   const std::size_t plane_size = plane_.size();
-  std::vector<float> colour(plane_size * static_cast<std::size_t>(channels)), coverage(plane_size);
-  kernels::warp_colour(job, maps_.data(), plane_.data(), width, height, colour.data(), plane_size,
-                       coverage.data());
+  const auto colour =
+      std::make_unique_for_overwrite<float[]>(plane_size * static_cast<std::size_t>(channels));
+  const auto coverage = std::make_unique_for_overwrite<float[]>(plane_size);
+  kernels::warp_colour(job, maps_.data(), plane_.data(), width, height, colour.get(), plane_size,
+                       coverage.get());
   const LatticeChart& chart = sweep_.lattice.chart;
   const bool constant_hull = sweep_.positions.constant && chart.inside_hull(sweep_.positions.p[0]);
   for (int y = 0; y < height; ++y) {
-    for (int x = 0; x < width; ++x) {
-      const std::size_t i = static_cast<std::size_t>(y) * stride_ + static_cast<std::size_t>(x);
-      const int X = rect_.x0 + x, Y = rect_.y0 + y;
+    const std::size_t in = static_cast<std::size_t>(y) * stride_;
+    const int Y = rect_.y0 + y;
+    float* pixel = &out.colour.at(rect_.x0, Y);
+    float *disparity = &out.disparity.at(rect_.x0, Y), *confidence = &out.confidence.at(rect_.x0, Y);
+    int* plane = &out.plane.at(rect_.x0, Y);
+    for (int x = 0; x < width; ++x, pixel += channels) {
+      const std::size_t i = in + static_cast<std::size_t>(x);
       const int n = plane_[i];
-      out.plane.at(X, Y) = n;
+      plane[x] = n;
       if (n < 0) continue;
-      for (int c = 0; c < channels; ++c)
-        out.colour.at(X, Y, c) = colour[plane_size * static_cast<std::size_t>(c) + i];
-      out.disparity.at(X, Y) = static_cast<float>(sweep_.disparities[static_cast<std::size_t>(n)]);
+      for (int c = 0; c < channels; ++c) pixel[c] = colour[plane_size * static_cast<std::size_t>(c) + i];
+      disparity[x] = static_cast<float>(sweep_.disparities[static_cast<std::size_t>(n)]);
       const float contrast =
           E_sum_[i] > 0 ? std::clamp(1 - E_min_[i] * E_count_[i] / E_sum_[i], 0.0F, 1.0F) : 0.0F;
       const bool inside = sweep_.positions.constant
                               ? constant_hull
-                              : chart.inside_hull(sweep_.positions.at(sweep_.view, X, Y));
-      out.confidence.at(X, Y) = inside ? coverage[i] * contrast : 0.0F;
+                              : chart.inside_hull(sweep_.positions.at(sweep_.view, rect_.x0 + x, Y));
+      confidence[x] = inside ? coverage[i] * contrast : 0.0F;
     }
   }
 }

@@ -2,6 +2,7 @@
 
 #include <array>
 #include <cstdint>
+#include <limits>
 #include <vector>
 
 #include "core/view.h"
@@ -28,6 +29,8 @@ struct Sweep {
   Sweep(PixelStore& pixels, const SweepLattice& sweep_lattice, const Viewpoint& viewpoint,
         const RenderOptions& render_options);
 
+  kernels::PairWeights pair_weights() const;
+
   PixelStore& store;
   const SweepLattice& lattice;
   const Viewpoint view;
@@ -48,9 +51,12 @@ class SweepBlock {
  public:
   SweepBlock(const Sweep& sweep, const PixelRect& rect);
 
-  /// Plane n, farther ones first, on columns [x0, x1) of the picture, which must lie in the block.
+  /// Plane n on columns [x0, x1) of the picture, which must lie in the block.
   void evaluate(int n, int x0, int x1);
   void evaluate(int n) { evaluate(n, rect_.x0, rect_.x1); }
+  /// True if the difference of the normal and the skipped filter alone, a lower bound of equation 5, shows on
+  /// every pixel of the columns that plane n is not the best. Costs a third of evaluate().
+  bool ruled_out(int n, int x0, int x1);
   /// Plane n is chosen on those columns without looking at any cost.
   void choose(int n, int x0, int x1);
   /// Writes colour, disparity, plane and confidence of the block.
@@ -60,6 +66,19 @@ class SweepBlock {
   /// The costs of the chosen planes, block row y.
   const float* E_min(int y) const { return E_min_.data() + static_cast<std::size_t>(y) * stride_; }
   const std::int32_t* plane(int y) const { return plane_.data() + static_cast<std::size_t>(y) * stride_; }
+  /// Mean cost over the planes evaluated at a pixel of the picture; 0 where none is defined.
+  float E_mean(int x, int y) const {
+    const std::size_t i =
+        static_cast<std::size_t>(y - rect_.y0) * stride_ + static_cast<std::size_t>(x - rect_.x0);
+    return E_count_[i] > 0 ? E_sum_[i] / E_count_[i] : 0;
+  }
+  /// Cost of the plane evaluated last; Inf where it is not defined.
+  float last_cost(int x, int y) const {
+    const std::size_t i =
+        static_cast<std::size_t>(y - rect_.y0) * stride_ + static_cast<std::size_t>(x - rect_.x0);
+    return count_[i] > 0 ? sum_[i] / count_[i] : std::numeric_limits<float>::infinity();
+  }
+  int camera_count() const { return static_cast<int>(cameras_.size()); }
   /// Multiply-adds that the differences took.
   double multiply_adds() const { return multiply_adds_; }
 
@@ -77,8 +96,11 @@ class SweepBlock {
   void make_maps();
   bool meets_at_one_offset() const;
   std::vector<Shift> shifts_of(int n) const;
-  bool difference_by_shift(const PixelRect& halo, const std::vector<Shift>& shifts);
+  bool difference_by_shift(const PixelRect& halo, const std::vector<Shift>& shifts,
+                           const kernels::PairWeights& a);
   bool difference_by_warp(int n, const PixelRect& halo);
+  void count_inside(int x0, int x1);
+  void clear_outside(std::vector<float>& raster, const PixelRect& padded, const PixelRect& halo);
   void fill_shift_job(const std::vector<Shift>& shifts, const PixelRect& part, bool& defined,
                       bool& candidate);
   void prepare_warp();

@@ -125,6 +125,7 @@ void shift_all(const ShiftJob& job, int x, int y, int width, int height, float* 
   int row = 0;
   for (; row + kRows <= height; row += kRows)
     shift_rows<T, kRows>(job, x, y + row, width, E0 + row * stride, stride);
+  for (; row + 4 <= height; row += 4) shift_rows<T, 4>(job, x, y + row, width, E0 + row * stride, stride);
   for (; row + 2 <= height; row += 2) shift_rows<T, 2>(job, x, y + row, width, E0 + row * stride, stride);
   for (; row < height; ++row) shift_rows<T, 1>(job, x, y + row, width, E0 + row * stride, stride);
 }
@@ -319,7 +320,9 @@ void WarpDifference(const WarpJob& job, const WarpMap* maps, int x, int y, int w
   for (int row = y; row < y + height; ++row) {
     for (int col = x; col < x + width; col += lanes) {
       const std::size_t i = static_cast<std::size_t>(row) * job.stride + col;
-      const V gx = hn::LoadU(d, job.gx + i), gy = hn::LoadU(d, job.gy + i);
+      const V gx = hn::LoadU(d, job.gx + (job.parallel ? static_cast<std::size_t>(col) : i));
+      const V gy = job.parallel ? hn::Set(d, job.gy[row]) : hn::LoadU(d, job.gy + i);
+      const std::size_t w = static_cast<std::size_t>(row) * job.weight_stride + col;
       Sums sums;
       clear(sums);
       for (std::size_t c = 0; c < job.cameras.size(); ++c) {
@@ -331,7 +334,7 @@ void WarpDifference(const WarpJob& job, const WarpMap* maps, int x, int y, int w
         V any = hn::Zero(d);
         for (int k = 0; k < 3; ++k) {
           takes_part[k] = camera.weight[k] != nullptr;
-          weight[k] = takes_part[k] ? hn::LoadU(d, camera.weight[k] + i) : hn::Zero(d);
+          weight[k] = takes_part[k] ? hn::LoadU(d, camera.weight[k] + w) : hn::Zero(d);
           any = hn::Max(any, weight[k]);
         }
         if (hn::AllFalse(d, hn::Gt(any, hn::Zero(d)))) continue;
@@ -382,7 +385,9 @@ void WarpColour(const WarpJob& job, const WarpMap* maps, const std::int32_t* pla
   for (int row = 0; row < height; ++row) {
     for (int col = 0; col < width; col += lanes) {
       const std::size_t i = static_cast<std::size_t>(row) * job.stride + col;
-      const V gx = hn::LoadU(d, job.gx + i), gy = hn::LoadU(d, job.gy + i);
+      const V gx = hn::LoadU(d, job.gx + (job.parallel ? static_cast<std::size_t>(col) : i));
+      const V gy = job.parallel ? hn::Set(d, job.gy[row]) : hn::LoadU(d, job.gy + i);
+      const std::size_t w = static_cast<std::size_t>(row) * job.weight_stride + col;
       const VI n = hn::LoadU(di, plane + i);
       const auto found = hn::RebindMask(d, hn::Gt(n, hn::Set(di, -1)));
       const VI chosen = hn::Max(n, hn::Zero(di));
@@ -394,7 +399,7 @@ void WarpColour(const WarpJob& job, const WarpMap* maps, const std::int32_t* pla
         const WarpCamera& camera = job.cameras[static_cast<std::size_t>(c)];
         if (camera.weight[job.k] == nullptr) continue;
         V weight[3] = {hn::Zero(d), hn::Zero(d), hn::Zero(d)};
-        weight[job.k] = hn::IfThenElseZero(found, hn::LoadU(d, camera.weight[job.k] + i));
+        weight[job.k] = hn::IfThenElseZero(found, hn::LoadU(d, camera.weight[job.k] + w));
         if (hn::AllFalse(d, hn::Gt(weight[job.k], hn::Zero(d)))) continue;
         VectorMap map;
         if (same) {
@@ -481,7 +486,11 @@ void AddPlane(const MinimumRow& best, int n, int width, const float* sum, const 
     const V E_min = hn::LoadU(d, best.E_min + i);
     const VI plane = hn::LoadU(di, best.plane + i);
     const M none = hn::RebindMask(d, hn::Lt(plane, hn::Zero(di)));
-    const M better = hn::And(valid, hn::Or(none, hn::Lt(hn::Add(e, margin), E_min)));
+    // Clearly smaller, or equal and farther.
+    const M farther = hn::RebindMask(d, hn::Lt(number, plane));
+    const M smaller = hn::Lt(hn::Add(e, margin), E_min);
+    const M equal = hn::And(farther, hn::Le(e, hn::Add(E_min, margin)));
+    const M better = hn::And(valid, hn::Or(none, hn::Or(smaller, equal)));
     hn::StoreU(hn::IfThenElse(better, e, E_min), d, best.E_min + i);
     hn::StoreU(hn::IfThenElse(hn::RebindMask(di, better), number, plane), di, best.plane + i);
     const V E_sum = hn::LoadU(d, best.E_sum + i), E_count = hn::LoadU(d, best.E_count + i);

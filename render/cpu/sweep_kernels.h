@@ -67,8 +67,11 @@ struct WarpJob {
   PairWeights a;
   int k = 0;  ///< filter of the picture
   std::vector<WarpCamera> cameras;
-  const float *gx = nullptr, *gy = nullptr;  ///< NaN: the ray does not look towards the scene
-  std::size_t stride = 0;                    ///< of the block's rasters, weights included
+  /// NaN: the ray does not look towards the scene. Of parallel views gx is one row and gy one column.
+  const float *gx = nullptr, *gy = nullptr;
+  bool parallel = false;
+  std::size_t stride = 0;         ///< of the block's rasters
+  std::size_t weight_stride = 0;  ///< of the weights; 0: the same in every row
 };
 
 /// Equation 5 on the block's pixels [x, x + width) x [y, y + height), in block coordinates; `maps` beside the
@@ -87,7 +90,7 @@ void warp_colour(const WarpJob& job, const WarpMap* maps, const std::int32_t* pl
 void box_sum(float* in, std::size_t in_stride, int width, int height, int M_x, int M_y, float* out,
              std::size_t out_stride, std::vector<float>& scratch);
 
-/// Equation 7 as planes go by, farthest first. One row of `width` pixels.
+/// Equation 7 as planes go by. One row of `width` pixels.
 struct MinimumRow {
   float* E_min;            ///< starts at Inf
   std::int32_t* plane;     ///< starts at -1

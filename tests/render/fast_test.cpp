@@ -1,0 +1,150 @@
+#include <tbb/global_control.h>
+
+#include <cmath>
+
+#include "render/renderer.h"
+#include "tests/render/scenes.h"
+#include "tests/support/support.h"
+
+using namespace stuv;
+using namespace stuv::test;
+
+namespace {
+
+double psnr(const ImageF& a, const ImageF& b) {
+  REQUIRE(a.data.size() == b.data.size());
+  double sum = 0;
+  for (std::size_t i = 0; i < a.data.size(); ++i) sum += std::pow(a.data[i] - b.data[i], 2);
+  return -10 * std::log10(sum / static_cast<double>(a.data.size()) + 1e-20);
+}
+
+double skipped(const RenderedView& view, const std::string& reason) {
+  for (const Skipped& s : view.statistics.skipped)
+    if (s.reason == reason) return s.fraction;
+  FAIL("no reason " << reason);
+  return 0;
+}
+
+/// A far plane, a near one before its right half; the lower part is of one colour.
+std::shared_ptr<ViewSet> scene() {
+  auto set = make_views({.rows = 4, .cols = 4, .width = 200, .height = 160});
+  for (std::size_t i = 0; i < set->cameras.size(); ++i) {
+    const View& view = set->cameras[i];
+    const ImageF far = picture_of_plane(set->lf, view, 2, waves);
+    const ImageF near = picture_of_plane(set->lf, view, 6, waves);
+    const double edge_px = set->lf.cx0_px - 6 * (view.s - 1);
+    for (int y = 0; y < 160; ++y)
+      for (int x = 0; x < 200; ++x)
+        set->pixels[i].colour.at(x, y) = y > 90 ? 0.5F : (x > edge_px ? near : far).at(x, y);
+  }
+  return set;
+}
+
+RenderOptions options_of() {
+  RenderOptions options;
+  options.planes = 17;
+  options.window = 3;
+  options.d_min = 0;
+  options.d_max = 8;
+  return options;
+}
+
+}  // namespace
+
+TEST_CASE("fast is close to exact, and says what it left out") {
+  const auto set = scene();
+  const RenderOptions options = options_of();
+  const Viewpoint view = default_viewpoint(set->lf, 1.4, 1.5);
+  const RenderedView exact = make_renderer(Method::exact, Backend::cpu, set)->all_in_focus(view, options);
+  const RenderedView fast = make_renderer(Method::fast, Backend::cpu, set)->all_in_focus(view, options);
+  CHECK(psnr(exact.colour, fast.colour) > 40);
+  CHECK(fast.statistics.evaluated_fraction < 0.6);
+  CHECK(skipped(fast, "planes not near the tile") > 0.05);
+  CHECK(skipped(fast, "flat tiles") > 0.1);
+}
+
+TEST_CASE("fast leaves out planes on which there is nothing") {
+  const auto set = make_views({.rows = 4, .cols = 4, .width = 200, .height = 160});
+  paint_plane(*set, 2, waves);
+  RenderOptions options = options_of();
+  options.d_max = 32;
+  const Viewpoint view = default_viewpoint(set->lf, 1.4, 1.5);
+  const RenderedView fast = make_renderer(Method::fast, Backend::cpu, set)->all_in_focus(view, options);
+  CHECK(skipped(fast, "empty planes") > 0.1);
+  const RenderedView exact = make_renderer(Method::exact, Backend::cpu, set)->all_in_focus(view, options);
+  CHECK(psnr(exact.colour, fast.colour) > 35);
+}
+
+TEST_CASE("Each skip of fast can be switched off alone") {
+  const auto set = scene();
+  const Viewpoint view = default_viewpoint(set->lf, 1.4, 1.5);
+  const RenderedView exact =
+      make_renderer(Method::exact, Backend::cpu, set)->all_in_focus(view, options_of());
+  const auto render = [&](auto change) {
+    RenderOptions options = options_of();
+    change(options.skips);
+    const RenderedView out = make_renderer(Method::fast, Backend::cpu, set)->all_in_focus(view, options);
+    CHECK(psnr(exact.colour, out.colour) > 40);
+    return out;
+  };
+  CHECK(skipped(render([](Skips& s) { s.empty_planes = false; }), "empty planes") == 0);
+  CHECK(skipped(render([](Skips& s) { s.tile_planes = false; }), "planes not near the tile") ==
+        Approx(0).margin(1e-9));
+  CHECK(skipped(render([](Skips& s) { s.flat_tiles = false; }), "flat tiles") == 0);
+  CHECK(skipped(render([](Skips& s) { s.idle_cameras = false; }), "idle cameras") == 0);
+  CHECK(skipped(render([](Skips& s) { s.second_filter = false; }), "second filter") == 0);
+  CHECK(skipped(render([](Skips& s) { s.unread_tiles = false; }), "unread tiles of the database") == 0);
+  // With nothing left out, it is exact.
+  const RenderedView all = render([](Skips& s) { s = {false, false, false, false, false, false, false}; });
+  CHECK(all.colour.data == exact.colour.data);
+  CHECK(all.plane.data == exact.plane.data);
+  // Where many planes are looked at, the second filter rules some out, and changes nothing.
+  const RenderedView ruled = render([](Skips& s) { s = {false, false, false, true, true, true, false}; });
+  CHECK(skipped(ruled, "second filter") > 0);
+  CHECK(ruled.colour.data == exact.colour.data);
+  CHECK(ruled.plane.data == exact.plane.data);
+}
+
+TEST_CASE("fast uses the picture before, and the same pictures in the same order are the same") {
+  const auto set = scene();
+  const RenderOptions options = options_of();
+  const auto renderer = make_renderer(Method::fast, Backend::cpu, set);
+  std::vector<RenderedView> path[2];
+  for (const int threads : {1, 8}) {
+    const tbb::global_control limit(tbb::global_control::max_allowed_parallelism,
+                                    static_cast<std::size_t>(threads));
+    renderer->forget();
+    for (int i = 0; i < 6; ++i)
+      path[threads == 1 ? 0 : 1].push_back(
+          renderer->all_in_focus(default_viewpoint(set->lf, 1.2 + 0.1 * i, 1.5), options));
+  }
+  const auto exact = make_renderer(Method::exact, Backend::cpu, set);
+  for (std::size_t i = 0; i < path[0].size(); ++i) {
+    CHECK(path[0][i].colour.data == path[1][i].colour.data);
+    CHECK(path[0][i].plane.data == path[1][i].plane.data);
+    CHECK(skipped(path[0][i], "coarse pass") == (i == 0 ? 0 : 1));
+    CHECK(
+        psnr(path[0][i].colour,
+             exact->all_in_focus(default_viewpoint(set->lf, 1.2 + 0.1 * static_cast<double>(i), 1.5), options)
+                 .colour) > 35);
+  }
+}
+
+TEST_CASE("fast: every kind of viewpoint and lattice") {
+  for (const Lattice& lattice : {Lattice{.rows = 1, .cols = 5, .width = 61, .height = 47, .jitter = 0.1},
+                                 Lattice{.rows = 4, .cols = 3, .width = 61, .height = 47, .off_plane = 0.1},
+                                 Lattice{.rows = 1, .cols = 1, .width = 1, .height = 1}}) {
+    const auto set = make_views(lattice);
+    paint_plane(*set, 2, waves);
+    const auto exact = make_renderer(Method::exact, Backend::cpu, set);
+    const auto fast = make_renderer(Method::fast, Backend::cpu, set);
+    for (const double z : {0.0, 0.3}) {
+      Viewpoint view = default_viewpoint(set->lf, 0.4, 0.3, z);
+      if (z > 0) view.view_from_scene = rotation_from_vector({0.02, 0.1, -0.05});
+      RenderOptions options = options_of();
+      CHECK(psnr(exact->all_in_focus(view, options).colour, fast->all_in_focus(view, options).colour) > 34);
+      options.planes = 1;
+      CHECK(psnr(exact->all_in_focus(view, options).colour, fast->all_in_focus(view, options).colour) > 34);
+    }
+  }
+}
