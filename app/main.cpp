@@ -19,6 +19,7 @@ int main(int argc, char** argv) {
   add_calibrate_command(app, action);
   add_import_command(app, action);
   add_rectify_command(app, action);
+  add_plan_command(app, action);
   add_render_command(app, action);
   add_bench_command(app, action);
   app.failure_message(

@@ -7,10 +7,12 @@
 
 #include "app/commands.h"
 #include "app/console.h"
+#include "app/search_range.h"
 #include "core/error.h"
 #include "core/files.h"
 #include "core/image_io.h"
 #include "render/all_in_focus.h"
+#include "render/plan/sampling.h"
 #include "render/renderer.h"
 
 namespace stuv {
@@ -23,7 +25,7 @@ struct Flags : CommonFlags {
   std::string at, size, disparity, depth_m, weights, no_skip;
   std::string mode = "all-in-focus", filter = "normal", method = "exact", backend = "cpu";
   std::optional<double> focus_m, focus_px;
-  int planes = RenderOptions{}.planes, window = RenderOptions{}.window;
+  int planes = 0, window = RenderOptions{}.window;
   std::vector<std::string> leave_out;
 };
 
@@ -84,21 +86,10 @@ std::vector<Viewpoint> viewpoints_of(const Flags& flags, const LightField& lf) {
   return views;
 }
 
-void set_range(const Flags& flags, const LightField& lf, RenderOptions& options) {
-  options.d_min = lf.d_min;
-  options.d_max = lf.d_max;
-  if (!flags.disparity.empty()) {
-    std::tie(options.d_min, options.d_max) = parse_disparity(flags.disparity);
-  } else if (!flags.depth_m.empty()) {
-    if (!lf.metric)
-      throw UsageError("--depth-m needs metres, which this scene does not have; use --disparity");
-    const auto [near_m, far_m] = parse_pair("--depth-m", flags.depth_m);
-    if (!(near_m > 0 && near_m <= far_m)) throw UsageError("--depth-m wants 0 < NEAR <= FAR");
-    options.d_min = lf.disparity(1 / far_m);
-    options.d_max = lf.disparity(1 / near_m);
-  } else if (!lf.has_range()) {
-    throw UsageError("the scene states no range of disparity; give --disparity MIN,MAX");
-  }
+void set_range(const Flags& flags, const LightFieldReader& reader, RenderOptions& options) {
+  const SearchRange range = search_range(reader, {flags.disparity, flags.depth_m, flags.leave_out});
+  options.d_min = range.d_min;
+  options.d_max = range.d_max;
 }
 
 void set_weights(const Flags& flags, RenderOptions& options) {
@@ -113,7 +104,8 @@ void set_weights(const Flags& flags, RenderOptions& options) {
 }
 
 /// The focal plane of --mode focal-plane; the middle of the range if none is given.
-double focus_of(const Flags& flags, const LightField& lf) {
+double focus_of(const Flags& flags, const LightFieldReader& reader) {
+  const LightField& lf = reader.light_field();
   if (flags.focus_px) {
     if (!std::isfinite(*flags.focus_px)) throw UsageError("--focus-px wants a finite disparity");
     return *flags.focus_px;
@@ -124,7 +116,7 @@ double focus_of(const Flags& flags, const LightField& lf) {
     return lf.disparity(1 / *flags.focus_m);
   }
   RenderOptions range;
-  set_range(flags, lf, range);
+  set_range(flags, reader, range);
   return (range.d_min + range.d_max) / 2;
 }
 
@@ -217,8 +209,6 @@ void check_name(const std::string& flag, const fs::path& file, const std::vector
 void check_usage(const Flags& flags) {
   if (!flags.at.empty() && !flags.path.empty()) throw UsageError("--at and --path exclude each other");
   if (flags.focus_m && flags.focus_px) throw UsageError("--focus and --focus-px exclude each other");
-  if (!flags.disparity.empty() && !flags.depth_m.empty())
-    throw UsageError("--disparity and --depth-m exclude each other");
   if ((flags.focus_m || flags.focus_px) && flags.mode != "focal-plane")
     throw UsageError("--focus and --focus-px need --mode focal-plane");
   check_name("-o", flags.output, {".png", ".tif", ".tiff", ".jpg", ".jpeg", ".exr", ".pfm"});
@@ -257,15 +247,15 @@ int run(const Flags& flags) {
   const std::vector<Viewpoint> viewpoints = viewpoints_of(flags, lf);
   const bool all_planes = flags.mode == "all-in-focus";
   RenderOptions options;
-  options.planes = flags.planes;
   options.window = flags.window;
   options.k = filter_of(flags.filter);
   options.skips = parse_skips(flags.no_skip);
   set_weights(flags, options);
   if (all_planes)
-    set_range(flags, lf, options);
+    set_range(flags, reader, options);
   else
-    options.d_min = options.d_max = focus_of(flags, lf);
+    options.d_min = options.d_max = focus_of(flags, reader);
+  options.planes = flags.planes > 0 ? flags.planes : planes_needed(lf, options.d_min, options.d_max);
   for (std::size_t i = 0; i < viewpoints.size(); ++i) check_outputs(outputs_of(flags, i), flags.force);
 
   const auto renderer = make_renderer(method_from_name(flags.method), backend_from_name(flags.backend),
@@ -327,7 +317,7 @@ void add_render_command(CLI::App& app, Action& action) {
   command
       ->add_option("--method", flags->method, "How to find what is in focus: literal, exact or fast [exact]")
       ->check(CLI::IsMember({"literal", "exact", "fast"}));
-  command->add_option("--planes", flags->planes, "Number of focal planes N [13]")
+  command->add_option("--planes", flags->planes, "Number of focal planes N [as many as `stuv plan` says]")
       ->check(CLI::Range(1, kMostCount));
   command->add_option("--window", flags->window, "Half-width M of the window [7]")
       ->check(CLI::Range(0, kMostCount));
@@ -335,7 +325,9 @@ void add_render_command(CLI::App& app, Action& action) {
       ->add_option("--weights", flags->weights,
                    "a_kl of equation 5: normal and wide, normal and skipped, wide and skipped [1,1,0]")
       ->type_name("A01,A02,A12");
-  command->add_option("--disparity", flags->disparity, "Range to search [px per unit of s] [the scene's]")
+  command
+      ->add_option("--disparity", flags->disparity,
+                   "Range to search [px per unit of s] [the scene's, or found in the pictures]")
       ->type_name("MIN,MAX");
   command->add_option("--depth-m", flags->depth_m, "Range to search [m]")->type_name("NEAR,FAR");
   command->add_option("--leave-out", flags->leave_out, "A camera not to use; may be repeated")

@@ -35,7 +35,7 @@ TEST_CASE("stuv render: outputs, wrong usage, and nothing overwritten") {
   const LightField lf = write_scene(folder / "scene", PixelType::u8, false);
   const std::string render = "render " + lf.folder.string() + " -o " + (folder / "out.png").string() + " ";
   for (const char* wrong :
-       {"--disparity 1,3 --method best", "--mode focal-plane --focus 3", "", "--disparity 1,3 --at 0,0,1",
+       {"--disparity 1,3 --method best", "--mode focal-plane --focus 3", "--disparity 1,3 --at 0,0,1",
         "--disparity 1,3 --at 0", "--disparity 3,1", "--disparity 1,3 --leave-out nobody", "--depth-m 1,2",
         "--disparity 1,inf", "--disparity nan,3", "--mode focal-plane --focus-px inf",
         "--disparity 1,3 --planes 0", "--disparity 1,3 --window -1", "--disparity 1,3 --index-out a.jpg",
