@@ -176,6 +176,8 @@ int run(const Flags& flags) {
   for (const std::string& backend : backends)
     if (backend != "cpu" && backend != "gl")
       throw UsageError(fmt::format("--backend: there is no '{}'; cpu, gl", backend));
+  if (methods == std::vector<std::string>{"fast"} && backends == std::vector<std::string>{"gl"})
+    throw UsageError("--methods fast runs on the CPU; use --backend cpu");
   const std::vector<int> planes = parse_planes(flags.planes);
   const LightFieldReader reader(open_light_field(flags.scene));
   Case c{"", "", options_of(flags, reader.light_field())};
@@ -187,6 +189,7 @@ int run(const Flags& flags) {
   for (const std::string& method : methods)
     for (const std::string& backend : backends)
       for (const int n : planes) {
+        if (!exists(method_from_name(method), backend_from_name(backend))) continue;
         c.method = method;
         c.backend = backend;
         c.options.planes = n;
@@ -213,7 +216,7 @@ void add_bench_command(CLI::App& app, Action& action) {
   command->add_option("--planes", flags->planes, "Numbers of focal planes [13]");
   command->add_option("--window", flags->window, "M: windows have (2M + 1)^2 pixels [7]")
       ->check(CLI::Range(0, kMostCount));
-  command->add_option("--backend", flags->backends, "cpu, gl or both [cpu]");
+  command->add_option("--backend", flags->backends, "cpu, gl or both [cpu]; fast runs on cpu only");
   command->add_option("--views", flags->views, "Compare K of the held-out views, spread evenly [all]")
       ->check(CLI::Range(0, kMostCount));
   command->add_option("--border", flags->border, "Pixels left out at every side [0]")

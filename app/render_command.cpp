@@ -211,6 +211,8 @@ void check_usage(const Flags& flags) {
   if (flags.focus_m && flags.focus_px) throw UsageError("--focus and --focus-px exclude each other");
   if ((flags.focus_m || flags.focus_px) && flags.mode != "focal-plane")
     throw UsageError("--focus and --focus-px need --mode focal-plane");
+  if (!exists(method_from_name(flags.method), backend_from_name(flags.backend)))
+    throw UsageError("--method fast runs on the CPU; use --method exact with --backend gl");
   check_name("-o", flags.output, {".png", ".tif", ".tiff", ".jpg", ".jpeg", ".exr", ".pfm"});
   check_name("--depth-out", flags.depth_out, {".pfm", ".png"});
   check_name("--index-out", flags.index_out, {".pfm", ".png", ".tif", ".tiff"});

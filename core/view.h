@@ -23,13 +23,13 @@ enum class Filter { normal = 0, wide = 1, skipped = 2 };
 
 /// What `fast` may leave out. Each can be switched off alone.
 struct Skips {
-  bool empty_planes = true;    ///< planes on which the coarse pass finds nothing anywhere
-  bool tile_planes = true;     ///< planes on which it finds nothing near a tile
-  bool flat_tiles = true;      ///< tiles that look the same on every plane
-  bool idle_cameras = true;    ///< cameras without weight
-  bool second_filter = true;   ///< the wide filter, where the skipped one already rules a plane out
-  bool unread_tiles = true;    ///< tiles of the database that no ray reaches
-  bool previous_view = true;   ///< the coarse pass, where the picture before tells what is to be expected
+  bool empty_planes = true;   ///< planes on which the coarse pass finds nothing anywhere
+  bool tile_planes = true;    ///< planes on which it finds nothing near a tile
+  bool flat_tiles = true;     ///< tiles that look the same on every plane
+  bool idle_cameras = true;   ///< cameras without weight
+  bool second_filter = true;  ///< the wide filter, where the skipped one already rules a plane out
+  bool unread_tiles = true;   ///< tiles of the database that no ray reaches
+  bool previous_view = true;  ///< the coarse pass, where the picture before tells what is to be expected
 };
 
 /// The paper's parameters, with its values as defaults.
@@ -63,6 +63,8 @@ struct RenderedView {
     double evaluated_fraction = 1;
     /// Multiply-adds of the filters' differences; 0 where they are not counted.
     double multiply_adds = 0;
+    /// Time of parts of the work, where they are measured.
+    std::vector<std::pair<std::string, double>> stages_ms;
     /// What was not computed, per reason, as a part of what there was to do (`fast`).
     std::vector<Skipped> skipped;
   } statistics;

@@ -23,6 +23,8 @@ Method method_from_name(const std::string& name) {
   throw std::invalid_argument("there is no method '" + name + "'; there are literal, exact, fast");
 }
 
+bool exists(Method method, Backend backend) { return method != Method::fast || backend == Backend::cpu; }
+
 Backend backend_from_name(const std::string& name) {
   for (const Backend backend : {Backend::cpu, Backend::gl})
     if (name == name_of(backend)) return backend;
@@ -31,9 +33,12 @@ Backend backend_from_name(const std::string& name) {
 
 std::unique_ptr<Renderer> make_renderer(Method method, Backend backend,
                                         std::shared_ptr<const ViewSet> views) {
+  if (!exists(method, backend))
+    throw std::invalid_argument("method fast runs on the CPU; use exact with OpenGL");
   if (method == Method::literal)
     return make_literal_renderer(backend == Backend::gl ? make_gl_renderer(std::move(views))
                                                         : make_cpu_renderer(std::move(views)));
+  if (backend == Backend::gl) return make_gl_exact_renderer(std::move(views));
   if (method == Method::fast) return make_cpu_fast_renderer(std::move(views));
   return make_cpu_exact_renderer(std::move(views));
 }

@@ -37,6 +37,8 @@ const char* name_of(Backend backend);
 /// Throw std::invalid_argument naming what there is.
 Method method_from_name(const std::string& name);
 Backend backend_from_name(const std::string& name);
+/// Whether the method runs there: `fast` on the CPU only.
+bool exists(Method method, Backend backend);
 
 /// `reader` must outlive the renderer. Views named in `leave_out` become holes of the lattice. Throws Error
 /// if a picture cannot be read, or if this machine has no OpenGL 4.5 for Backend::gl.

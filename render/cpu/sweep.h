@@ -78,6 +78,8 @@ class SweepBlock {
         static_cast<std::size_t>(y - rect_.y0) * stride_ + static_cast<std::size_t>(x - rect_.x0);
     return count_[i] > 0 ? sum_[i] / count_[i] : std::numeric_limits<float>::infinity();
   }
+  /// Cameras, by number, that have a part in the block.
+  const std::vector<int>& cameras() const { return cameras_; }
   int camera_count() const { return static_cast<int>(cameras_.size()); }
   /// Multiply-adds that the differences took.
   double multiply_adds() const { return multiply_adds_; }

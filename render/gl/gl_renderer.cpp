@@ -1,4 +1,3 @@
-#include <epoxy/egl.h>
 #include <epoxy/gl.h>
 #include <fmt/format.h>
 
@@ -8,113 +7,14 @@
 #include <stdexcept>
 
 #include "core/error.h"
-#include "render/gl/focal_plane_comp.h"
+#include "render/gl/gl_cameras.h"
+#include "render/gl/gl_context.h"
 #include "render/gl/gl_renderer.h"
+#include "render/gl/gl_sources.h"
 #include "render/lattice_positions.h"
 
 namespace stuv {
 namespace {
-
-/// A headless OpenGL 4.5 core context; frees it and what was made in it.
-class Context {
- public:
-  Context() {
-    display_ = eglGetPlatformDisplayEXT(EGL_PLATFORM_SURFACELESS_MESA, EGL_DEFAULT_DISPLAY, nullptr);
-    if (!eglInitialize(display_, nullptr, nullptr)) {
-      display_ = eglGetDisplay(EGL_DEFAULT_DISPLAY);
-      if (!eglInitialize(display_, nullptr, nullptr)) fail("no display");
-    }
-    const EGLint config_attributes[] = {EGL_SURFACE_TYPE, EGL_PBUFFER_BIT, EGL_RENDERABLE_TYPE,
-                                        EGL_OPENGL_BIT, EGL_NONE};
-    EGLConfig config = nullptr;
-    EGLint count = 0;
-    if (!eglBindAPI(EGL_OPENGL_API) || !eglChooseConfig(display_, config_attributes, &config, 1, &count) ||
-        count == 0)
-      fail("no configuration");
-    const EGLint attributes[] = {EGL_CONTEXT_MAJOR_VERSION,
-                                 4,
-                                 EGL_CONTEXT_MINOR_VERSION,
-                                 5,
-                                 EGL_CONTEXT_OPENGL_PROFILE_MASK,
-                                 EGL_CONTEXT_OPENGL_CORE_PROFILE_BIT,
-                                 EGL_NONE};
-    context_ = eglCreateContext(display_, config, EGL_NO_CONTEXT, attributes);
-    if (context_ == EGL_NO_CONTEXT) fail("no 4.5 core context");
-    make_current();
-  }
-  ~Context() {
-    eglMakeCurrent(display_, EGL_NO_SURFACE, EGL_NO_SURFACE, EGL_NO_CONTEXT);
-    eglDestroyContext(display_, context_);
-  }
-  Context(const Context&) = delete;
-  Context& operator=(const Context&) = delete;
-
-  void make_current() {
-    if (!eglMakeCurrent(display_, EGL_NO_SURFACE, EGL_NO_SURFACE, context_)) fail("cannot be made current");
-  }
-
- private:
-  [[noreturn]] static void fail(const std::string& what) {
-    throw Error("OpenGL", fmt::format("{} (EGL error 0x{:04x})", what, eglGetError()),
-                "install a driver with OpenGL 4.5 (Mesa has one in software), or use --backend cpu");
-  }
-  EGLDisplay display_ = EGL_NO_DISPLAY;
-  EGLContext context_ = EGL_NO_CONTEXT;
-};
-
-GLuint build_program() {
-  const auto check = [](GLuint object, auto get, auto log, GLenum what) {
-    GLint good = 0;
-    get(object, what, &good);
-    if (good) return;
-    std::array<char, 2000> text{};
-    log(object, static_cast<GLsizei>(text.size()), nullptr, text.data());
-    throw Error("render/gl/focal_plane.comp", fmt::format("does not build: {}", text.data()),
-                "use --backend cpu, and report the driver");
-  };
-  const GLuint shader = glCreateShader(GL_COMPUTE_SHADER);
-  glShaderSource(shader, 1, &kFocalPlaneComp, nullptr);
-  glCompileShader(shader);
-  check(shader, glGetShaderiv, glGetShaderInfoLog, GL_COMPILE_STATUS);
-  const GLuint program = glCreateProgram();
-  glAttachShader(program, shader);
-  glLinkProgram(program);
-  check(program, glGetProgramiv, glGetProgramInfoLog, GL_LINK_STATUS);
-  glDeleteShader(shader);
-  return program;
-}
-
-/// As the shader's structs (std430).
-struct GlCamera {
-  std::array<GLint, 2> whole{};
-  std::array<float, 2> fraction{};
-  float slope = 0;
-  GLint visible = 0;
-  std::array<GLint, 2> pad{};
-};
-struct GlStand {
-  GLint camera = 0;
-  float weight = 0;
-};
-
-GlCamera gl_camera(const CameraMap& map, const Viewpoint& view, bool parallel) {
-  GlCamera out;
-  if (!map.visible) return out;
-  double u = map.u0, v = map.v0, slope = map.scale;
-  if (parallel) {  // u - x = (u0 - k cx) + (k - 1) x with k = scale / f_out
-    const double k = map.scale / view.focal_px;
-    u -= k * view.cx_px;
-    v -= k * view.cy_px;
-    slope = k - 1;
-  }
-  if (!(std::abs(u) < 1e8 && std::abs(v) < 1e8)) return out;
-  out.visible = 1;
-  // To the nearest, not down: a fraction just below 1 would lose the digits that the snap needs.
-  out.whole = {static_cast<GLint>(std::lround(u)), static_cast<GLint>(std::lround(v))};
-  out.fraction = {static_cast<float>(u - out.whole[0]), static_cast<float>(v - out.whole[1])};
-  out.slope = static_cast<float>(slope);
-  return out;
-}
 
 class GlRenderer : public FocalPlaneRenderer {
  public:
@@ -122,7 +22,7 @@ class GlRenderer : public FocalPlaneRenderer {
       : views_(std::move(views)), chart_(views_->lf.rows, views_->lf.cols, views_->cameras) {
     for (const Filter filter : {Filter::normal, Filter::wide, Filter::skipped})
       filters_.emplace_back(views_->lf.rows, views_->lf.cols, views_->cameras, filter);
-    program_ = build_program();
+    program_ = build_gl_program("render/gl/focal_plane.comp", kFocalPlaneComp);
     glCreateBuffers(static_cast<GLsizei>(buffers_.size()), buffers_.data());
     upload_pictures();
   }
@@ -143,7 +43,7 @@ class GlRenderer : public FocalPlaneRenderer {
   }
   GLint uniform(const char* name) const { return glGetUniformLocation(program_, name); }
 
-  Context context_;
+  GlContext context_;
   std::shared_ptr<const ViewSet> views_;
   LatticeChart chart_;
   std::vector<LatticeFilter> filters_;
@@ -261,7 +161,7 @@ std::unique_ptr<FocalPlaneRenderer> make_gl_renderer(std::shared_ptr<const ViewS
 }
 
 std::string gl_renderer_name() {
-  const Context context;
+  const GlContext context;
   return reinterpret_cast<const char*>(glGetString(GL_RENDERER));
 }
 

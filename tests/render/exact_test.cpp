@@ -193,6 +193,16 @@ TEST_CASE("exact is the picture of literal from every viewpoint, lattice and typ
   check_every_viewpoint(Backend::cpu);
 }
 
+TEST_CASE("exact is the picture of literal from every viewpoint, lattice and type: OpenGL") {
+  check_every_viewpoint(Backend::gl);
+}
+
+TEST_CASE("exact is the picture of literal: knights, OpenGL") {
+  check_scene("knights/views.csv", "-347,231", 13, 3, Backend::gl);
+}
+TEST_CASE("exact is the picture of literal: dino, OpenGL") {
+  check_scene("hci/dino/views.csv", "-2.5,2.5", 11, 3, Backend::gl);
+}
 TEST_CASE("exact is the picture of literal: knights, CPU") {
   check_scene("knights/views.csv", "-347,231", 13, 3, Backend::cpu);
 }

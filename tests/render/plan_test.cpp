@@ -18,7 +18,9 @@ std::shared_ptr<ViewSet> two_depths(double far, double near) {
   auto set = make_views({.rows = 4, .cols = 4, .width = 320, .height = 200});
   for (std::size_t i = 0; i < set->cameras.size(); ++i) {
     const View& view = set->cameras[i];
-    const auto fine = [](double x, double y) { return 0.6F * waves(0.35 * x, 0.4 * y) + 0.4F * waves(y, 1.3 * x); };
+    const auto fine = [](double x, double y) {
+      return 0.6F * waves(0.35 * x, 0.4 * y) + 0.4F * waves(y, 1.3 * x);
+    };
     const ImageF behind = picture_of_plane(set->lf, view, far, fine),
                  before = picture_of_plane(set->lf, view, near, fine);
     const double edge_px = set->lf.cx0_px - near * (view.s - 1.5);
