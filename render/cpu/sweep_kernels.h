@@ -86,7 +86,8 @@ void warp_colour(const WarpJob& job, const WarpMap* maps, const std::int32_t* pl
                  float* colour, std::size_t plane_size, float* coverage);
 
 /// Sums over windows of (2M + 1)^2 by doubling: adds only, so nothing cancels and nothing drifts. `in` has
-/// (width + 2M) x (height + 2M) values and is overwritten; `out` width x height. Strides in values.
+/// (width + 2M) x (height + 2M) values and is overwritten, up to 64 values behind the end of each row too;
+/// `out` width x height. Strides in values.
 void box_sum(float* in, std::size_t in_stride, int width, int height, int M_x, int M_y, float* out,
              std::size_t out_stride, std::vector<float>& scratch);
 
