@@ -132,7 +132,8 @@ namespace {
 
 constexpr std::pair<const char*, bool Skips::*> kSkips[] = {
     {"empty-planes", &Skips::empty_planes},   {"tile-planes", &Skips::tile_planes},
-    {"flat-tiles", &Skips::flat_tiles},       {"idle-cameras", &Skips::idle_cameras},
+    {"flat-tiles", &Skips::flat_tiles},       {"tile-margins", &Skips::tile_margins},
+    {"colour-costs", &Skips::colour_costs},   {"idle-cameras", &Skips::idle_cameras},
     {"second-filter", &Skips::second_filter}, {"unread-tiles", &Skips::unread_tiles},
     {"previous-view", &Skips::previous_view}};
 

@@ -26,6 +26,8 @@ struct Skips {
   bool empty_planes = true;   ///< planes on which the coarse pass finds nothing anywhere
   bool tile_planes = true;    ///< planes on which it finds nothing near a tile
   bool flat_tiles = true;     ///< tiles that look the same on every plane
+  bool tile_margins = true;   ///< pixels beside a tile: windows end at its border
+  bool colour_costs = true;   ///< two of three channels: costs are those of the brightness
   bool idle_cameras = true;   ///< cameras without weight
   bool second_filter = true;  ///< the wide filter, where the skipped one already rules a plane out
   bool unread_tiles = true;   ///< tiles of the database that no ray reaches

@@ -53,7 +53,7 @@ class ExactRenderer : public Renderer {
     RenderedView out = empty_picture(view, store_.views().lf.channels);
     const std::vector<PixelRect> blocks = exact_blocks(sweep);
     parallel_for(static_cast<int>(blocks.size()), [&](int i) {
-      SweepBlock block(sweep, blocks[static_cast<std::size_t>(i)]);
+      SweepBlock block(sweep, blocks[static_cast<std::size_t>(i)], SweepBlock::Purpose::colour);
       block.choose(0, block.rect().x0, block.rect().x1);
       block.write(out);
     });

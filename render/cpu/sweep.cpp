@@ -62,8 +62,8 @@ SweepLattice::SweepLattice(const ViewSet& views) : chart(views.lf.rows, views.lf
 }
 
 Sweep::Sweep(PixelStore& pixels, const SweepLattice& sweep_lattice, const Viewpoint& viewpoint,
-             const RenderOptions& render_options)
-    : store(pixels), lattice(sweep_lattice), view(viewpoint), options(render_options) {
+             const RenderOptions& render_options, Windows reach)
+    : store(pixels), lattice(sweep_lattice), view(viewpoint), options(render_options), windows(reach) {
   for (int n = 0; n < options.planes; ++n) disparities.push_back(plane_disparity(options, n));
   positions = lattice_positions(lattice.chart, view);
   if (positions.constant)
@@ -80,17 +80,21 @@ kernels::PairWeights Sweep::pair_weights() const {
   return {static_cast<float>(options.a01), static_cast<float>(options.a02), static_cast<float>(options.a12)};
 }
 
-SweepBlock::SweepBlock(const Sweep& sweep, const PixelRect& rect) : sweep_(sweep), rect_(rect) {
+SweepBlock::SweepBlock(const Sweep& sweep, const PixelRect& rect, Purpose purpose)
+    : sweep_(sweep), purpose_(purpose), rect_(rect) {
   const int M_x = sweep.M_x, M_y = sweep.M_y;
   padded_ = {rect.x0 - M_x, rect.y0 - M_y, rect.x1 + M_x, rect.y1 + M_y};
-  halo_ = intersection(padded_, {0, 0, sweep.view.width, sweep.view.height});
+  halo_ = sweep.windows == Windows::cut || purpose == Purpose::colour
+              ? rect
+              : intersection(padded_, {0, 0, sweep.view.width, sweep.view.height});
   stride_ = static_cast<std::size_t>(padded_.x1 - padded_.x0) + kVectorPadding;
-  const std::size_t padded_size =
-      stride_ * static_cast<std::size_t>(padded_.y1 - padded_.y0) + kVectorPadding;
+  padded_size_ = stride_ * static_cast<std::size_t>(padded_.y1 - padded_.y0) + kVectorPadding;
   const std::size_t size = stride_ * static_cast<std::size_t>(rect.y1 - rect.y0) + kVectorPadding;
-  E0_.resize(padded_size);
-  sum_.resize(size);
-  count_.resize(size);
+  if (purpose == Purpose::search) {
+    E0_.resize(padded_size_);
+    sum_.resize(size);
+    count_.resize(size);
+  }
   E_min_.assign(size, kInfinity);
   E_sum_.assign(size, 0.0F);
   E_count_.assign(size, 0.0F);
@@ -138,6 +142,9 @@ void SweepBlock::find_cameras() {
     }
   }
   for (std::size_t c = 0; c < count; ++c) {
+    if (purpose_ == Purpose::colour)
+      for (std::size_t k = 0; k < 3; ++k)
+        if (k != static_cast<std::size_t>(sweep_.options.k)) weight[c][k] = 0;
     const bool idle = weight[c][0] <= 0 && weight[c][1] <= 0 && weight[c][2] <= 0;
     if (idle && sweep_.options.skips.idle_cameras) continue;
     cameras_.push_back(static_cast<int>(c));
@@ -281,8 +288,8 @@ bool SweepBlock::difference_by_shift(const PixelRect& halo, const std::vector<Sh
       }
     }
   if (gaps.empty()) return true;
-  defined_.assign(E0_.size(), 0.0F);
-  candidate_.assign(E0_.size(), 0.0F);
+  defined_.resize(padded_size_);
+  candidate_.resize(padded_size_);
   for (int y = halo.y0; y < halo.y1; ++y) {
     std::fill_n(defined_.data() + index_of(halo.x0, y), halo.x1 - halo.x0, 1.0F);
     std::fill_n(candidate_.data() + index_of(halo.x0, y), halo.x1 - halo.x0, 1.0F);
@@ -312,8 +319,8 @@ void SweepBlock::make_rays() {
       gy_[static_cast<std::size_t>(y - padded_.y0)] = static_cast<float>(ray_of(view, 0, y).gy - centre.gy);
     return;
   }
-  gx_.assign(E0_.size(), 0.0F);
-  gy_.assign(E0_.size(), 0.0F);
+  gx_.assign(padded_size_, 0.0F);
+  gy_.assign(padded_size_, 0.0F);
   for (int y = halo_.y0; y < halo_.y1; ++y) {
     for (int x = halo_.x0; x < halo_.x1; ++x) {
       const Ray ray = ray_of(view, x, y);
@@ -353,7 +360,7 @@ void SweepBlock::make_weights() {
   };
   const bool constant = sweep_.positions.constant;
   warp_job_.weight_stride = constant ? 0 : stride_;
-  const std::size_t raster = constant ? stride_ : E0_.size();
+  const std::size_t raster = constant ? stride_ : padded_size_;
   std::vector<std::array<std::size_t, 3>> at(cameras_.size());
   std::size_t rasters = 0;
   for (std::size_t i = 0; i < cameras_.size(); ++i)
@@ -386,6 +393,7 @@ void SweepBlock::make_weights() {
   std::vector<float> px(static_cast<std::size_t>(width)), py(px.size()), tents(px.size()), total(px.size());
   for (int y = halo_.y0; y < halo_.y1; ++y) {
     for (int k = 0; k < 3; ++k) {
+      if (purpose_ == Purpose::colour && k != static_cast<int>(sweep_.options.k)) continue;
       const LatticeFilter& filter = sweep_.lattice.filters[static_cast<std::size_t>(k)];
       const auto stride = static_cast<float>(filter.stride());
       const auto inverse = static_cast<float>(1 / filter.half_width());
@@ -421,7 +429,7 @@ void SweepBlock::make_weights() {
           }
           for (const CameraWeight& stand : stands) {
             const int i = slot[static_cast<std::size_t>(stand.camera)];
-            if (i < 0) continue;
+            if (i < 0 || !wanted(static_cast<std::size_t>(i), static_cast<std::size_t>(k))) continue;
             float* w = weight_row(static_cast<std::size_t>(i), static_cast<std::size_t>(k), y);
             for (std::size_t x = 0; x < px.size(); ++x) w[x] += tents[x] * static_cast<float>(stand.weight);
           }
@@ -429,7 +437,7 @@ void SweepBlock::make_weights() {
       }
       for (float& t : total) t = t > 0 ? 1 / t : 0;
       for (std::size_t i = 0; i < cameras_.size(); ++i) {
-        if (constant_[i][static_cast<std::size_t>(k)] <= 0) continue;
+        if (!wanted(i, static_cast<std::size_t>(k))) continue;
         float* w = weight_row(i, static_cast<std::size_t>(k), y);
         for (std::size_t x = 0; x < px.size(); ++x) w[x] *= total[x];
       }
@@ -455,8 +463,8 @@ void SweepBlock::prepare_warp() {
 
 bool SweepBlock::difference_by_warp(int n, const PixelRect& halo) {
   prepare_warp();
-  defined_.assign(E0_.size(), 0.0F);
-  candidate_.assign(E0_.size(), 0.0F);
+  defined_.resize(padded_size_);
+  candidate_.resize(padded_size_);
   const int x = halo.x0 - padded_.x0, y = halo.y0 - padded_.y0;
   kernels::warp_difference(warp_job_, maps_.data() + static_cast<std::size_t>(n) * cameras_.size(), x, y,
                            halo.x1 - halo.x0, halo.y1 - halo.y0, E0_.data(), defined_.data(),
@@ -481,16 +489,22 @@ void SweepBlock::clear_outside(std::vector<float>& raster, const PixelRect& padd
   }
 }
 
-/// count_: the pixels of each window that lie in the picture.
-void SweepBlock::count_inside(int x0, int x1) {
-  const auto inside = [](int at, int M, int size) {
-    return std::min(at + M, size - 1) - std::max(at - M, 0) + 1;
+/// Where windows around columns [x0, x1) lie.
+PixelRect SweepBlock::halo_of(int x0, int x1) const {
+  const int margin = sweep_.windows == Windows::cut ? 0 : sweep_.M_x;
+  return intersection({x0 - margin, padded_.y0, x1 + margin, padded_.y1}, halo_);
+}
+
+/// count_: the pixels of each window that lie in `halo`.
+void SweepBlock::count_inside(const PixelRect& halo, int x0, int x1) {
+  const auto inside = [](int at, int M, int low, int high) {
+    return std::min(at + M, high - 1) - std::max(at - M, low) + 1;
   };
   std::vector<float> columns(static_cast<std::size_t>(x1 - x0));
   for (int x = x0; x < x1; ++x)
-    columns[static_cast<std::size_t>(x - x0)] = static_cast<float>(inside(x, sweep_.M_x, sweep_.view.width));
+    columns[static_cast<std::size_t>(x - x0)] = static_cast<float>(inside(x, sweep_.M_x, halo.x0, halo.x1));
   for (int y = rect_.y0; y < rect_.y1; ++y) {
-    const auto rows = static_cast<float>(inside(y, sweep_.M_y, sweep_.view.height));
+    const auto rows = static_cast<float>(inside(y, sweep_.M_y, halo.y0, halo.y1));
     float* count = count_.data() + static_cast<std::size_t>(y - rect_.y0) * stride_ + (x0 - rect_.x0);
     for (std::size_t x = 0; x < columns.size(); ++x) count[x] = rows * columns[x];
   }
@@ -499,7 +513,7 @@ void SweepBlock::count_inside(int x0, int x1) {
 void SweepBlock::evaluate(int n, int x0, int x1) {
   const int M_x = sweep_.M_x, M_y = sweep_.M_y;
   const PixelRect padded{x0 - M_x, padded_.y0, x1 + M_x, padded_.y1};
-  const PixelRect halo = intersection(padded, halo_);
+  const PixelRect halo = halo_of(x0, x1);
   const int width = x1 - x0, height = rect_.y1 - rect_.y0;
   const bool everywhere = by_shift_ ? difference_by_shift(halo, shifts_of(n), sweep_.pair_weights())
                                     : difference_by_warp(n, halo);
@@ -508,7 +522,7 @@ void SweepBlock::evaluate(int n, int x0, int x1) {
   kernels::box_sum(E0_at(padded.x0, padded.y0), stride_, width, height, M_x, M_y, sum_.data() + first,
                    stride_, scratch_);
   if (everywhere) {
-    count_inside(x0, x1);
+    count_inside(halo, x0, x1);
   } else {
     clear_outside(defined_, padded, halo);
     kernels::box_sum(defined_.data() + index_of(padded.x0, padded.y0), stride_, width, height, M_x, M_y,
@@ -533,13 +547,13 @@ bool SweepBlock::ruled_out(int n, int x0, int x1) {
   }
   const int M_x = sweep_.M_x, M_y = sweep_.M_y;
   const PixelRect padded{x0 - M_x, padded_.y0, x1 + M_x, padded_.y1};
-  const PixelRect halo = intersection(padded, halo_);
+  const PixelRect halo = halo_of(x0, x1);
   if (!difference_by_shift(halo, shifts_of(n), {0, all.a02, 0})) return false;
   clear_outside(E0_, padded, halo);
   const std::size_t first = static_cast<std::size_t>(x0 - rect_.x0);
   kernels::box_sum(E0_at(padded.x0, padded.y0), stride_, width, height, M_x, M_y, sum_.data() + first,
                    stride_, scratch_);
-  count_inside(x0, x1);
+  count_inside(halo, x0, x1);
   for (int y = 0; y < height; ++y) {
     const std::size_t at = static_cast<std::size_t>(y) * stride_ + first;
     for (std::size_t x = at; x < at + static_cast<std::size_t>(width); ++x)
@@ -553,7 +567,7 @@ void SweepBlock::choose(int n, int x0, int x1) {
     std::fill_n(plane_.data() + static_cast<std::size_t>(y) * stride_ + (x0 - rect_.x0), x1 - x0, n);
 }
 
-void SweepBlock::write(RenderedView& out) {
+void SweepBlock::write(RenderedView& out, const SweepBlock& searched) {
   prepare_warp();
   const int width = rect_.x1 - rect_.x0, height = rect_.y1 - rect_.y0, channels = warp_job_.channels;
   // The kernel walks the block without its halo.
@@ -565,11 +579,11 @@ void SweepBlock::write(RenderedView& out) {
   for (kernels::WarpCamera& camera : job.cameras)
     for (const float*& weight : camera.weight)
       if (weight != nullptr) weight += job.weight_stride == 0 ? left : offset;
-  const std::size_t plane_size = plane_.size();
+  const std::size_t plane_size = searched.plane_.size();
   const auto colour =
       std::make_unique_for_overwrite<float[]>(plane_size * static_cast<std::size_t>(channels));
   const auto coverage = std::make_unique_for_overwrite<float[]>(plane_size);
-  kernels::warp_colour(job, maps_.data(), plane_.data(), width, height, colour.get(), plane_size,
+  kernels::warp_colour(job, maps_.data(), searched.plane_.data(), width, height, colour.get(), plane_size,
                        coverage.get());
   const LatticeChart& chart = sweep_.lattice.chart;
   const bool constant_hull = sweep_.positions.constant && chart.inside_hull(sweep_.positions.p[0]);
@@ -581,13 +595,15 @@ void SweepBlock::write(RenderedView& out) {
     int* plane = &out.plane.at(rect_.x0, Y);
     for (int x = 0; x < width; ++x, pixel += channels) {
       const std::size_t i = in + static_cast<std::size_t>(x);
-      const int n = plane_[i];
+      const int n = searched.plane_[i];
       plane[x] = n;
       if (n < 0) continue;
       for (int c = 0; c < channels; ++c) pixel[c] = colour[plane_size * static_cast<std::size_t>(c) + i];
       disparity[x] = static_cast<float>(sweep_.disparities[static_cast<std::size_t>(n)]);
       const float contrast =
-          E_sum_[i] > 0 ? std::clamp(1 - E_min_[i] * E_count_[i] / E_sum_[i], 0.0F, 1.0F) : 0.0F;
+          searched.E_sum_[i] > 0
+              ? std::clamp(1 - searched.E_min_[i] * searched.E_count_[i] / searched.E_sum_[i], 0.0F, 1.0F)
+              : 0.0F;
       const bool inside = sweep_.positions.constant
                               ? constant_hull
                               : chart.inside_hull(sweep_.positions.at(sweep_.view, rect_.x0 + x, Y));

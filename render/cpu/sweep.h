@@ -24,10 +24,16 @@ struct SweepLattice {
   }
 };
 
+/// How far windows reach.
+enum class Windows {
+  whole,  ///< to the border of the picture
+  cut     ///< to the border of the block and of the columns that are evaluated together
+};
+
 /// What all blocks of one picture share.
 struct Sweep {
   Sweep(PixelStore& pixels, const SweepLattice& sweep_lattice, const Viewpoint& viewpoint,
-        const RenderOptions& render_options);
+        const RenderOptions& render_options, Windows reach = Windows::whole);
 
   kernels::PairWeights pair_weights() const;
 
@@ -35,6 +41,7 @@ struct Sweep {
   const SweepLattice& lattice;
   const Viewpoint view;
   const RenderOptions options;
+  const Windows windows;
   std::vector<double> disparities;  ///< of plane n
   LatticePositions positions;
   /// Weights by filter of all cameras, where they are the same for the whole picture.
@@ -49,7 +56,10 @@ struct Sweep {
 /// block's own, so blocks run in parallel and their results do not depend on how the picture is divided.
 class SweepBlock {
  public:
-  SweepBlock(const Sweep& sweep, const PixelRect& rect);
+  /// What a block is for: `colour` knows the cameras of the picture's own filter only, and can be asked for
+  /// choose() and write().
+  enum class Purpose { search, colour };
+  SweepBlock(const Sweep& sweep, const PixelRect& rect, Purpose purpose = Purpose::search);
 
   /// Plane n on columns [x0, x1) of the picture, which must lie in the block.
   void evaluate(int n, int x0, int x1);
@@ -59,8 +69,10 @@ class SweepBlock {
   bool ruled_out(int n, int x0, int x1);
   /// Plane n is chosen on those columns without looking at any cost.
   void choose(int n, int x0, int x1);
-  /// Writes colour, disparity, plane and confidence of the block.
-  void write(RenderedView& out);
+  /// Writes colour, disparity, plane and confidence of the block, the planes and costs being those of
+  /// `searched`, a block of the same rectangle.
+  void write(RenderedView& out, const SweepBlock& searched);
+  void write(RenderedView& out) { write(out, *this); }
 
   const PixelRect& rect() const { return rect_; }
   /// The costs of the chosen planes, block row y.
@@ -101,7 +113,8 @@ class SweepBlock {
   bool difference_by_shift(const PixelRect& halo, const std::vector<Shift>& shifts,
                            const kernels::PairWeights& a);
   bool difference_by_warp(int n, const PixelRect& halo);
-  void count_inside(int x0, int x1);
+  void count_inside(const PixelRect& halo, int x0, int x1);
+  PixelRect halo_of(int x0, int x1) const;
   void clear_outside(std::vector<float>& raster, const PixelRect& padded, const PixelRect& halo);
   void fill_shift_job(const std::vector<Shift>& shifts, const PixelRect& part, bool& defined,
                       bool& candidate);
@@ -112,9 +125,11 @@ class SweepBlock {
   }
 
   const Sweep& sweep_;
+  const Purpose purpose_;
   PixelRect rect_, halo_, padded_;  ///< outputs; with the window, inside the picture; with all of the window
   std::size_t stride_ = 0;          ///< of all rasters of the block
-  std::vector<int> cameras_;        ///< that have a part in it
+  std::size_t padded_size_ = 0;
+  std::vector<int> cameras_;                     ///< that have a part in it
   std::vector<std::array<double, 3>> constant_;  ///< their weights by filter
   std::vector<std::shared_ptr<const StoredView>> views_;
   std::vector<char> masked_;
