@@ -173,14 +173,17 @@ bool SweepBlock::meets_at_one_offset() const {
                      [&](int c) { return set.cameras[static_cast<std::size_t>(c)].w == sweep_.view.z; });
 }
 
-std::vector<SweepBlock::Shift> SweepBlock::shifts_of(int n) const {
+void SweepBlock::find_shifts(int n) {
+  if (shifts_plane_ == n) return;
+  shifts_plane_ = n;
+  job_of_all_ = false;
   const ViewSet& set = sweep_.store.views();
   const Viewpoint& view = sweep_.view;
-  std::vector<Shift> shifts(cameras_.size());
+  shifts_.assign(cameras_.size(), {});
   for (std::size_t i = 0; i < cameras_.size(); ++i) {
     const CameraMap map = camera_map(set.lf, set.cameras[static_cast<std::size_t>(cameras_[i])], view,
                                      sweep_.disparities[static_cast<std::size_t>(n)]);
-    Shift& shift = shifts[i];
+    Shift& shift = shifts_[i];
     shift.visible = map.visible;
     if (!map.visible) continue;
     const double u = map.u0 - view.cx_px, v = map.v0 - view.cy_px;
@@ -199,38 +202,39 @@ std::vector<SweepBlock::Shift> SweepBlock::shifts_of(int n) const {
     shift.valid = {-shift.dx, -shift.dy, set.lf.width - shift.dx - (shift.ax > 0 ? 1 : 0),
                    set.lf.height - shift.dy - (shift.ay > 0 ? 1 : 0)};
   }
-  return shifts;
 }
 
-/// The job of a part in which the same cameras see all pixels. `defined`: equation 5 is; `candidate`: filter
-/// k has a sample.
-void SweepBlock::fill_shift_job(const std::vector<Shift>& shifts, const PixelRect& part, bool& defined,
-                                bool& candidate) {
+/// The job of a part in which the same cameras see all pixels.
+void SweepBlock::fill_shift_job(const PixelRect& part) {
   std::array<double, 3> seen{0, 0, 0};
   const auto sees = [&](std::size_t i) {
-    const Shift& s = shifts[i];
+    const Shift& s = shifts_[i];
     return s.visible && s.valid.x0 <= part.x0 && part.x1 <= s.valid.x1 && s.valid.y0 <= part.y0 &&
            part.y1 <= s.valid.y1;
   };
+  bool all = true;
+  for (std::size_t i = 0; i < cameras_.size(); ++i) all = all && (sees(i) || !shifts_[i].visible);
+  if (all && job_of_all_) return;
+  job_of_all_ = all;
   for (std::size_t i = 0; i < cameras_.size(); ++i)
     if (sees(i))
       for (std::size_t k = 0; k < 3; ++k) seen[k] += constant_[i][k];
   const auto& a = shift_job_.a;
   const bool takes_part[3] = {a.a01 != 0 || a.a02 != 0, a.a01 != 0 || a.a12 != 0, a.a02 != 0 || a.a12 != 0};
-  defined = true;
+  job_defined_ = true;
   for (std::size_t k = 0; k < 3; ++k)
-    defined =
-        defined && (!takes_part[k] || static_cast<float>(seen[k]) >= FocalPlaneRenderer::kLeastCoverage);
-  candidate = seen[static_cast<std::size_t>(sweep_.options.k)] > 0;
+    job_defined_ =
+        job_defined_ && (!takes_part[k] || static_cast<float>(seen[k]) >= FocalPlaneRenderer::kLeastCoverage);
+  job_candidate_ = seen[static_cast<std::size_t>(sweep_.options.k)] > 0;
   shift_job_.taps.clear();
-  if (!defined) return;
+  if (!job_defined_) return;
 
   // A filter that takes no part may see nothing; its weights are then 0.
   const auto part_of = [&](std::size_t i, std::size_t k) {
     return seen[k] > 0 ? constant_[i][k] / seen[k] : 0.0;
   };
   const auto add = [&](std::size_t i, double w1, double w2) {
-    const Shift& s = shifts[i];
+    const Shift& s = shifts_[i];
     const StoredView& view = *views_[i];
     ShiftTap tap{&view, static_cast<std::ptrdiff_t>(s.dy) * view.width + s.dx, {}, {}, s.ay > 0, s.ax > 0};
     const double bilinear[] = {(1 - s.ax) * (1 - s.ay), s.ax * (1 - s.ay), (1 - s.ax) * s.ay, s.ax * s.ay};
@@ -254,12 +258,13 @@ void SweepBlock::fill_shift_job(const std::vector<Shift>& shifts, const PixelRec
 
 /// True if equation 5 is defined and the plane a candidate everywhere; otherwise `defined_` and `candidate_`
 /// say where.
-bool SweepBlock::difference_by_shift(const PixelRect& halo, const std::vector<Shift>& shifts,
-                                     const kernels::PairWeights& a) {
+bool SweepBlock::difference_by_shift(int n, const PixelRect& halo, const kernels::PairWeights& a) {
+  find_shifts(n);
+  if (shift_job_.a != a) job_of_all_ = false;
   shift_job_.a = a;
   // Cameras come and go along straight lines only.
   std::vector<int> xs{halo.x0, halo.x1}, ys{halo.y0, halo.y1};
-  for (const Shift& s : shifts) {
+  for (const Shift& s : shifts_) {
     if (!s.visible) continue;
     for (const int x : {s.valid.x0, s.valid.x1})
       if (x > halo.x0 && x < halo.x1) xs.push_back(x);
@@ -278,10 +283,9 @@ bool SweepBlock::difference_by_shift(const PixelRect& halo, const std::vector<Sh
   for (std::size_t j = 0; j + 1 < ys.size(); ++j)
     for (std::size_t i = 0; i + 1 < xs.size(); ++i) {
       const PixelRect part{xs[i], ys[j], xs[i + 1], ys[j + 1]};
-      bool defined = false, candidate = false;
-      fill_shift_job(shifts, part, defined, candidate);
-      if (!defined || !candidate) gaps.push_back({part, defined, candidate});
-      if (defined) {
+      fill_shift_job(part);
+      if (!job_defined_ || !job_candidate_) gaps.push_back({part, job_defined_, job_candidate_});
+      if (job_defined_) {
         shift_difference(shift_job_, part.x0, part.y0, part.x1 - part.x0, part.y1 - part.y0,
                          E0_at(part.x0, part.y0), stride_);
         multiply_adds_ += kernels::multiply_adds(shift_job_) * (part.x1 - part.x0) * (part.y1 - part.y0);
@@ -515,8 +519,8 @@ void SweepBlock::evaluate(int n, int x0, int x1) {
   const PixelRect padded{x0 - M_x, padded_.y0, x1 + M_x, padded_.y1};
   const PixelRect halo = halo_of(x0, x1);
   const int width = x1 - x0, height = rect_.y1 - rect_.y0;
-  const bool everywhere = by_shift_ ? difference_by_shift(halo, shifts_of(n), sweep_.pair_weights())
-                                    : difference_by_warp(n, halo);
+  const bool everywhere =
+      by_shift_ ? difference_by_shift(n, halo, sweep_.pair_weights()) : difference_by_warp(n, halo);
   clear_outside(E0_, padded, halo);
   const std::size_t first = static_cast<std::size_t>(x0 - rect_.x0);
   kernels::box_sum(E0_at(padded.x0, padded.y0), stride_, width, height, M_x, M_y, sum_.data() + first,
@@ -548,7 +552,7 @@ bool SweepBlock::ruled_out(int n, int x0, int x1) {
   const int M_x = sweep_.M_x, M_y = sweep_.M_y;
   const PixelRect padded{x0 - M_x, padded_.y0, x1 + M_x, padded_.y1};
   const PixelRect halo = halo_of(x0, x1);
-  if (!difference_by_shift(halo, shifts_of(n), {0, all.a02, 0})) return false;
+  if (!difference_by_shift(n, halo, {0, all.a02, 0})) return false;
   clear_outside(E0_, padded, halo);
   const std::size_t first = static_cast<std::size_t>(x0 - rect_.x0);
   kernels::box_sum(E0_at(padded.x0, padded.y0), stride_, width, height, M_x, M_y, sum_.data() + first,
@@ -567,24 +571,97 @@ void SweepBlock::choose(int n, int x0, int x1) {
     std::fill_n(plane_.data() + static_cast<std::size_t>(y) * stride_ + (x0 - rect_.x0), x1 - x0, n);
 }
 
-void SweepBlock::write(RenderedView& out, const SweepBlock& searched) {
+/// colour and coverage: rasters of the block's outputs.
+void SweepBlock::colour_by_warp(const PixelRect& part, const SweepBlock& searched, float* colour,
+                                float* coverage) {
+  if (part.empty()) return;
   prepare_warp();
-  const int width = rect_.x1 - rect_.x0, height = rect_.y1 - rect_.y0, channels = warp_job_.channels;
-  // The kernel walks the block without its halo.
+  // The kernel walks the part from its first pixel.
   kernels::WarpJob job = warp_job_;
-  const std::size_t offset = index_of(rect_.x0, rect_.y0);
-  const std::size_t left = static_cast<std::size_t>(sweep_.M_x);
-  job.gx += job.parallel ? left : offset;
-  job.gy += job.parallel ? static_cast<std::size_t>(sweep_.M_y) : offset;
+  const std::size_t in = index_of(part.x0, part.y0);
+  const auto left = static_cast<std::size_t>(part.x0 - padded_.x0);
+  job.gx += job.parallel ? left : in;
+  job.gy += job.parallel ? static_cast<std::size_t>(part.y0 - padded_.y0) : in;
   for (kernels::WarpCamera& camera : job.cameras)
     for (const float*& weight : camera.weight)
-      if (weight != nullptr) weight += job.weight_stride == 0 ? left : offset;
+      if (weight != nullptr) weight += job.weight_stride == 0 ? left : in;
+  const std::size_t out =
+      static_cast<std::size_t>(part.y0 - rect_.y0) * stride_ + static_cast<std::size_t>(part.x0 - rect_.x0);
+  kernels::warp_colour(job, maps_.data(), searched.plane_.data() + out, part.x1 - part.x0, part.y1 - part.y0,
+                       colour + out, searched.plane_.size(), coverage + out);
+}
+
+/// Returns the part of the block that all cameras of the picture's filter see on all of its planes.
+PixelRect SweepBlock::fill_colour_job(const SweepBlock& searched, kernels::ColourJob& job) {
+  const auto k = static_cast<std::size_t>(sweep_.options.k);
+  const std::size_t planes = sweep_.disparities.size();
+  std::vector<char> present(planes, 0);
+  for (int y = 0; y < rect_.y1 - rect_.y0; ++y)
+    for (int x = 0; x < rect_.x1 - rect_.x0; ++x)
+      if (const int n = searched.plane(y)[x]; n >= 0) present[static_cast<std::size_t>(n)] = 1;
+  std::vector<std::size_t> filter;
+  double total = 0;
+  for (std::size_t i = 0; i < cameras_.size(); ++i)
+    if (constant_[i][k] > 0) {
+      filter.push_back(i);
+      total += constant_[i][k];
+    }
+  PixelRect seen = filter.empty() ? PixelRect{} : rect_;
+  job.type = shift_job_.type;
+  job.channels = shift_job_.channels;
+  job.cameras = filter.size();
+  job.taps.resize(planes * filter.size());
+  for (std::size_t n = 0; n < planes; ++n) {
+    if (!present[n]) continue;
+    find_shifts(static_cast<int>(n));
+    for (std::size_t c = 0; c < filter.size(); ++c) {
+      const std::size_t i = filter[c];
+      const Shift& s = shifts_[i];
+      if (!s.visible) return {};
+      seen = intersection(seen, s.valid);
+      const double w = constant_[i][k] / total * sweep_.scale;
+      kernels::ColourTap& tap = job.taps[n * filter.size() + c];
+      tap.view = views_[i].get();
+      tap.offset = static_cast<std::ptrdiff_t>(s.dy) * tap.view->width + s.dx;
+      const double bilinear[] = {(1 - s.ax) * (1 - s.ay), s.ax * (1 - s.ay), (1 - s.ax) * s.ay, s.ax * s.ay};
+      for (int q = 0; q < 4; ++q) tap.w[q] = static_cast<float>(w * bilinear[q]);
+      tap.two_rows = s.ay > 0;
+      tap.two_columns = s.ax > 0;
+    }
+  }
+  return seen;
+}
+
+void SweepBlock::colour_by_shift(const PixelRect& part, const kernels::ColourJob& job,
+                                 const SweepBlock& searched, float* colour, float* coverage) const {
+  if (part.empty()) return;
+  const std::size_t out =
+      static_cast<std::size_t>(part.y0 - rect_.y0) * stride_ + static_cast<std::size_t>(part.x0 - rect_.x0);
+  const int width = part.x1 - part.x0, height = part.y1 - part.y0;
+  kernels::shift_colour(job, part.x0, part.y0, width, height, searched.plane_.data() + out, stride_,
+                        colour + out, searched.plane_.size());
+  for (int y = 0; y < height; ++y)
+    std::fill_n(coverage + out + static_cast<std::size_t>(y) * stride_, width, 1.0F);
+}
+
+void SweepBlock::write(RenderedView& out, const SweepBlock& searched) {
+  const int width = rect_.x1 - rect_.x0, height = rect_.y1 - rect_.y0, channels = shift_job_.channels;
   const std::size_t plane_size = searched.plane_.size();
   const auto colour =
       std::make_unique_for_overwrite<float[]>(plane_size * static_cast<std::size_t>(channels));
   const auto coverage = std::make_unique_for_overwrite<float[]>(plane_size);
-  kernels::warp_colour(job, maps_.data(), searched.plane_.data(), width, height, colour.get(), plane_size,
-                       coverage.get());
+  kernels::ColourJob job;
+  PixelRect seen = by_shift_ ? fill_colour_job(searched, job) : PixelRect{};
+  if (seen.empty()) seen = {rect_.x0, rect_.y0, rect_.x0, rect_.y0};
+  // Vectors run over the end of a row, into what is done after it.
+  const auto warp = [&](const PixelRect& part) {
+    colour_by_warp(part, searched, colour.get(), coverage.get());
+  };
+  warp({rect_.x0, rect_.y0, rect_.x1, seen.y0});
+  warp({rect_.x0, seen.y0, seen.x0, seen.y1});
+  colour_by_shift(seen, job, searched, colour.get(), coverage.get());
+  warp({seen.x1, seen.y0, rect_.x1, seen.y1});
+  warp({rect_.x0, seen.y1, rect_.x1, rect_.y1});
   const LatticeChart& chart = sweep_.lattice.chart;
   const bool constant_hull = sweep_.positions.constant && chart.inside_hull(sweep_.positions.p[0]);
   for (int y = 0; y < height; ++y) {

@@ -109,16 +109,18 @@ class SweepBlock {
   void make_rays();
   void make_maps();
   bool meets_at_one_offset() const;
-  std::vector<Shift> shifts_of(int n) const;
-  bool difference_by_shift(const PixelRect& halo, const std::vector<Shift>& shifts,
-                           const kernels::PairWeights& a);
+  void find_shifts(int n);
+  bool difference_by_shift(int n, const PixelRect& halo, const kernels::PairWeights& a);
   bool difference_by_warp(int n, const PixelRect& halo);
   void count_inside(const PixelRect& halo, int x0, int x1);
   PixelRect halo_of(int x0, int x1) const;
   void clear_outside(std::vector<float>& raster, const PixelRect& padded, const PixelRect& halo);
-  void fill_shift_job(const std::vector<Shift>& shifts, const PixelRect& part, bool& defined,
-                      bool& candidate);
+  void fill_shift_job(const PixelRect& part);
   void prepare_warp();
+  void colour_by_warp(const PixelRect& part, const SweepBlock& searched, float* colour, float* coverage);
+  PixelRect fill_colour_job(const SweepBlock& searched, kernels::ColourJob& job);
+  void colour_by_shift(const PixelRect& part, const kernels::ColourJob& job, const SweepBlock& searched,
+                       float* colour, float* coverage) const;
   float* E0_at(int x, int y) { return E0_.data() + index_of(x, y); }
   std::size_t index_of(int x, int y) const {
     return static_cast<std::size_t>(y - padded_.y0) * stride_ + static_cast<std::size_t>(x - padded_.x0);
@@ -134,7 +136,12 @@ class SweepBlock {
   std::vector<std::shared_ptr<const StoredView>> views_;
   std::vector<char> masked_;
   bool any_masked_ = false, by_shift_ = false;
+  std::vector<Shift> shifts_;  ///< of plane shifts_plane_, beside cameras_
+  int shifts_plane_ = -1;
   kernels::ShiftJob shift_job_;
+  /// shift_job_ is of the plane's shifts, of all cameras; whether equation 5 is defined there, and the plane
+  /// a candidate.
+  bool job_of_all_ = false, job_defined_ = false, job_candidate_ = false;
   kernels::WarpJob warp_job_;
   bool warp_ready_ = false;
   std::vector<kernels::WarpMap> maps_;  ///< [plane][camera]

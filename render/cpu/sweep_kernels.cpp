@@ -420,6 +420,57 @@ void WarpColour(const WarpJob& job, const WarpMap* maps, const std::int32_t* pla
   }
 }
 
+/// One channel of a vector of pixels that lie on one plane.
+template <class T>
+HWY_INLINE V blend(const ColourTap* taps, std::size_t cameras, std::ptrdiff_t at, int channel) {
+  V sum = hn::Zero(d);
+  for (std::size_t c = 0; c < cameras; ++c) {
+    const ColourTap& tap = taps[c];
+    const T* p = tap.view->plane<T>(channel) + tap.offset + at;
+    const T* q = p + (tap.two_rows ? tap.view->width : 0);
+    sum = hn::MulAdd(hn::Set(d, tap.w[0]), load(p), sum);
+    if (tap.two_columns) sum = hn::MulAdd(hn::Set(d, tap.w[1]), load(p + 1), sum);
+    if (!tap.two_rows) continue;
+    sum = hn::MulAdd(hn::Set(d, tap.w[2]), load(q), sum);
+    if (tap.two_columns) sum = hn::MulAdd(hn::Set(d, tap.w[3]), load(q + 1), sum);
+  }
+  return sum;
+}
+
+template <class T>
+void colour_rows(const ColourJob& job, int x, int y, int width, int height, const std::int32_t* plane,
+                 std::size_t stride, float* colour, std::size_t plane_size) {
+  for (int row = 0; row < height; ++row) {
+    for (int col = 0; col < width; col += static_cast<int>(hn::Lanes(d))) {
+      const std::size_t i = static_cast<std::size_t>(row) * stride + col;
+      const VI n = hn::LoadU(di, plane + i);
+      auto open = hn::And(hn::Gt(n, hn::Set(di, -1)), hn::FirstN(di, static_cast<std::size_t>(width - col)));
+      V sum[3] = {hn::Zero(d), hn::Zero(d), hn::Zero(d)};
+      // Most vectors hold one plane, few more than two.
+      for (std::intptr_t lane; (lane = hn::FindFirstTrue(di, open)) >= 0;) {
+        const std::int32_t p = plane[i + static_cast<std::size_t>(lane)];
+        const ColourTap* taps = job.taps.data() + static_cast<std::size_t>(p) * job.cameras;
+        const std::ptrdiff_t at = static_cast<std::ptrdiff_t>(y + row) * taps[0].view->width + x + col;
+        const auto here = hn::And(open, hn::Eq(n, hn::Set(di, p)));
+        for (int c = 0; c < job.channels; ++c)
+          sum[c] = hn::IfThenElse(hn::RebindMask(d, here), blend<T>(taps, job.cameras, at, c), sum[c]);
+        open = hn::AndNot(here, open);
+      }
+      for (int c = 0; c < job.channels; ++c) hn::StoreU(sum[c], d, colour + plane_size * c + i);
+    }
+  }
+}
+
+void ShiftColour(const ColourJob& job, int x, int y, int width, int height, const std::int32_t* plane,
+                 std::size_t stride, float* colour, std::size_t plane_size) {
+  if (job.type == PixelType::u8)
+    colour_rows<std::uint8_t>(job, x, y, width, height, plane, stride, colour, plane_size);
+  else if (job.type == PixelType::u16)
+    colour_rows<std::uint16_t>(job, x, y, width, height, plane, stride, colour, plane_size);
+  else
+    colour_rows<float>(job, x, y, width, height, plane, stride, colour, plane_size);
+}
+
 /// out += in, count values (rounded up to vectors).
 HWY_INLINE void add_row(const float* in, float* out, int count) {
   for (int i = 0; i < count; i += static_cast<int>(hn::Lanes(d)))
@@ -441,6 +492,19 @@ HWY_INLINE void by_doubling(int length, const Add& add, const Double& doubles) {
   }
 }
 
+/// out[i] = sum of in[i + k * step], k < length, count values (rounded up to vectors).
+HWY_INLINE void sum_row(const float* in, std::size_t step, int length, float* out, int count) {
+  for (int i = 0; i < count; i += static_cast<int>(hn::Lanes(d))) {
+    V sum = hn::LoadU(d, in + i);
+    for (int k = 1; k < length; ++k) sum = hn::Add(sum, hn::LoadU(d, in + i + k * step));
+    hn::StoreU(sum, d, out + i);
+  }
+}
+
+/// Windows up to this M are summed one by one: the values are then read from the nearest cache, and nothing
+/// but the sum is written.
+constexpr int kLeastDoubled = 5;
+
 void BoxSum(float* in, std::size_t in_stride, int width, int height, int M_x, int M_y, float* out,
             std::size_t out_stride, std::vector<float>& scratch) {
   const int rows = height + 2 * M_y, cols = width + 2 * M_x;
@@ -448,11 +512,21 @@ void BoxSum(float* in, std::size_t in_stride, int width, int height, int M_x, in
   float* sum = scratch.data();
   for (int y = 0; y < rows; ++y) {
     float* row = in + static_cast<std::size_t>(y) * in_stride;
+    if (M_x < kLeastDoubled) {
+      sum_row(row, 1, 2 * M_x + 1, row, width);  // writes where it has read already
+      continue;
+    }
     std::fill_n(sum, width, 0.0F);
     by_doubling(
         2 * M_x + 1, [&](int offset) { add_row(row + offset, sum, width); },
         [&](int have) { add_row(row + have, row, cols - have); });
     std::copy_n(sum, width, row);
+  }
+  if (M_y < kLeastDoubled) {
+    for (int y = 0; y < height; ++y)
+      sum_row(in + static_cast<std::size_t>(y) * in_stride, in_stride, 2 * M_y + 1,
+              out + static_cast<std::size_t>(y) * out_stride, width);
+    return;
   }
   for (int y = 0; y < height; ++y) std::fill_n(out + static_cast<std::size_t>(y) * out_stride, width, 0.0F);
   int have_rows = rows;
@@ -533,6 +607,7 @@ namespace stuv::kernels {
 HWY_EXPORT(ShiftDifference);
 HWY_EXPORT(WarpDifference);
 HWY_EXPORT(WarpColour);
+HWY_EXPORT(ShiftColour);
 HWY_EXPORT(BoxSum);
 HWY_EXPORT(AddPlane);
 HWY_EXPORT(TargetName);
@@ -556,6 +631,10 @@ void warp_difference(const WarpJob& job, const WarpMap* maps, int x, int y, int 
 void warp_colour(const WarpJob& job, const WarpMap* maps, const std::int32_t* plane, int width, int height,
                  float* colour, std::size_t plane_size, float* coverage) {
   HWY_DYNAMIC_DISPATCH(WarpColour)(job, maps, plane, width, height, colour, plane_size, coverage);
+}
+void shift_colour(const ColourJob& job, int x, int y, int width, int height, const std::int32_t* plane,
+                  std::size_t stride, float* colour, std::size_t plane_size) {
+  HWY_DYNAMIC_DISPATCH(ShiftColour)(job, x, y, width, height, plane, stride, colour, plane_size);
 }
 void box_sum(float* in, std::size_t in_stride, int width, int height, int M_x, int M_y, float* out,
              std::size_t out_stride, std::vector<float>& scratch) {

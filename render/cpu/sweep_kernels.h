@@ -15,6 +15,7 @@ namespace stuv::kernels {
 /// a_kl of equation 5.
 struct PairWeights {
   float a01 = 1, a02 = 1, a12 = 0;
+  bool operator==(const PairWeights&) const = default;
 };
 
 /// Part of one camera in the differences D_1 = I_0 - I_1 and D_2 = I_0 - I_2, seen by parallel views on the
@@ -85,9 +86,31 @@ void warp_difference(const WarpJob& job, const WarpMap* maps, int x, int y, int 
 void warp_colour(const WarpJob& job, const WarpMap* maps, const std::int32_t* plane, int width, int height,
                  float* colour, std::size_t plane_size, float* coverage);
 
-/// Sums over windows of (2M + 1)^2 by doubling: adds only, so nothing cancels and nothing drifts. `in` has
-/// (width + 2M) x (height + 2M) values and is overwritten, up to 64 values behind the end of each row too;
-/// `out` width x height. Strides in values.
+/// Part of one camera in the picture of one plane, seen as ShiftTap.
+struct ColourTap {
+  const StoredView* view = nullptr;
+  std::ptrdiff_t offset = 0;
+  float w[4] = {0, 0, 0, 0};
+  bool two_rows = true, two_columns = true;
+};
+
+struct ColourJob {
+  PixelType type = PixelType::u8;
+  int channels = 3;
+  std::size_t cameras = 0;
+  std::vector<ColourTap> taps;  ///< [plane][camera]; without view on planes that no pixel has
+};
+
+/// Equation 8 where every camera of filter k sees every pixel on its plane: colour (planar, `channels`
+/// rasters `plane_size` apart) of output pixels [x, x + width) x [y, y + height), each on its own plane.
+/// `plane` and `colour` point at (x, y); up to 64 values behind the end of each row are overwritten. plane <
+/// 0: 0.
+void shift_colour(const ColourJob& job, int x, int y, int width, int height, const std::int32_t* plane,
+                  std::size_t stride, float* colour, std::size_t plane_size);
+
+/// Sums over windows of (2M + 1)^2, one by one or by doubling: adds only, so nothing cancels or drifts. `in`
+/// has (width + 2M) x (height + 2M) values and is overwritten, up to 64 values behind the end of each row
+/// too; `out` width x height. Strides in values.
 void box_sum(float* in, std::size_t in_stride, int width, int height, int M_x, int M_y, float* out,
              std::size_t out_stride, std::vector<float>& scratch);
 
