@@ -10,6 +10,7 @@
 #include "core/error.h"
 #include "core/files.h"
 #include "render/all_in_focus.h"
+#include "render/machine_limits.h"
 #include "render/metrics.h"
 #include "render/renderer.h"
 
@@ -92,11 +93,32 @@ struct Case {
   RenderOptions options;
 };
 
-Json measure(const LightFieldReader& reader, const Case& c, const Flags& flags, const Reporter& reporter) {
+/// How near a picture came to what the machine can do: the largest part of any limit, and which.
+struct Reached {
+  double part = std::nan("");
+  const char* limit = nullptr;
+};
+
+Reached reached(const RenderedView::Statistics& work, const MachineLimits& limits) {
+  Reached out;
+  const auto consider = [&](const char* name, double amount, double per_s) {
+    if (!(amount > 0 && per_s > 0)) return;
+    const double part = amount / per_s / (work.milliseconds * 1e-3);
+    if (out.limit == nullptr || part > out.part) out = {part, name};
+  };
+  consider("multiply-adds", work.multiply_adds, limits.multiply_adds_per_s);
+  consider("memory", work.bytes, limits.bytes_per_s);
+  consider("texels", work.texels, limits.texels_per_s);
+  return out;
+}
+
+Json measure(const LightFieldReader& reader, const Case& c, const Flags& flags, const MachineLimits& limits,
+             const Reporter& reporter) {
   const LightField& lf = reader.light_field();
   const std::vector<int> compared = compared_views(lf, flags.views);
   std::unique_ptr<Renderer> renderer;
-  std::vector<double> ms;
+  std::vector<double> ms, parts;
+  const char* limit = nullptr;
   double psnr = 0, similarity = 0, evaluated = 0;
   reset_peak_memory();
   for (const int i : compared) {
@@ -112,6 +134,10 @@ Json measure(const LightFieldReader& reader, const Case& c, const Flags& flags, 
     const RenderedView view = renderer->all_in_focus(viewpoint_of(lf, truth), c.options);
     const ImageF expected = reader.read(i).colour;
     ms.push_back(view.statistics.milliseconds);
+    if (const Reached at = reached(view.statistics, limits); at.limit != nullptr) {
+      parts.push_back(at.part);
+      limit = at.limit;
+    }
     psnr += psnr_db(view.colour, expected, flags.border);
     similarity += ssim(view.colour, expected, flags.border);
     evaluated += view.statistics.evaluated_fraction;
@@ -130,7 +156,9 @@ Json measure(const LightFieldReader& reader, const Case& c, const Flags& flags, 
           {"psnr_db", number(psnr / n)},
           {"ssim", number(similarity / n)},
           {"evaluated_fraction", evaluated / n},
-          {"peak_mb", number(peak_memory_mb())}};
+          {"peak_mb", number(peak_memory_mb())},
+          {"limit", limit == nullptr ? Json(nullptr) : Json(limit)},
+          {"limit_fraction", parts.empty() ? Json(nullptr) : Json(quantile(parts, 0.5))}};
 }
 
 std::vector<int> parse_planes(const std::string& text) {
@@ -146,10 +174,13 @@ std::vector<int> parse_planes(const std::string& text) {
 
 void print_row(const Json& row) {
   const auto number = [&](const char* key) { return row[key].is_null() ? NAN : row[key].get<double>(); };
-  fmt::print("{:<8} {:<4} {:>6} {:>6} {:>5} {:>10.1f} {:>8.2f} {:>7.4f} {:>9.3f} {:>8.0f}\n",
+  fmt::print("{:<8} {:<4} {:>6} {:>6} {:>5} {:>10.1f} {:>8.2f} {:>7.4f} {:>9.3f} {:>8.0f} {}\n",
              row["method"].get<std::string>(), row["backend"].get<std::string>(), row["planes"].get<int>(),
              row["window"].get<int>(), row["views"].get<int>(), number("ms_median"), number("psnr_db"),
-             number("ssim"), number("evaluated_fraction"), number("peak_mb"));
+             number("ssim"), number("evaluated_fraction"), number("peak_mb"),
+             row["limit"].is_null() ? "-"
+                                    : fmt::format("{:4.0f} % of {}", 100 * number("limit_fraction"),
+                                                  row["limit"].get<std::string>()));
 }
 
 RenderOptions options_of(const Flags& flags, const LightField& lf) {
@@ -183,9 +214,15 @@ int run(const Flags& flags) {
   Case c{"", "", options_of(flags, reader.light_field())};
   check_output(flags.output, flags.force);
   const Reporter reporter = console_reporter();
+  const MachineLimits limits =
+      measure_machine_limits(std::find(backends.begin(), backends.end(), "gl") != backends.end());
+  fmt::print("this machine: {}; {:.1f} G multiply-adds/s, {:.1f} GB/s", machine(),
+             limits.multiply_adds_per_s * 1e-9, limits.bytes_per_s * 1e-9);
+  if (limits.texels_per_s > 0) fmt::print(", {:.2f} G texels/s", limits.texels_per_s * 1e-9);
+  fmt::print("\n");
   Json rows = Json::array();
-  fmt::print("{:<8} {:<4} {:>6} {:>6} {:>5} {:>10} {:>8} {:>7} {:>9} {:>8}\n", "method", "on", "planes",
-             "window", "views", "ms/view", "PSNR dB", "SSIM", "evaluated", "peak MB");
+  fmt::print("{:<8} {:<4} {:>6} {:>6} {:>5} {:>10} {:>8} {:>7} {:>9} {:>8} {}\n", "method", "on", "planes",
+             "window", "views", "ms/view", "PSNR dB", "SSIM", "evaluated", "peak MB", "reached");
   for (const std::string& method : methods)
     for (const std::string& backend : backends)
       for (const int n : planes) {
@@ -193,10 +230,17 @@ int run(const Flags& flags) {
         c.method = method;
         c.backend = backend;
         c.options.planes = n;
-        rows.push_back(measure(reader, c, flags, reporter));
+        rows.push_back(measure(reader, c, flags, limits, reporter));
         print_row(rows.back());
       }
-  const Json result = {{"scene", flags.scene.string()}, {"machine", machine()}, {"rows", rows}};
+  const Json result = {
+      {"scene", flags.scene.string()},
+      {"machine", machine()},
+      {"limits",
+       {{"multiply_adds_per_s", limits.multiply_adds_per_s},
+        {"bytes_per_s", limits.bytes_per_s},
+        {"texels_per_s", limits.texels_per_s > 0 ? Json(limits.texels_per_s) : Json(nullptr)}}},
+      {"rows", rows}};
   write_json(flags.output, result);
   write_result(flags, result);
   return kDone;

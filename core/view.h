@@ -63,8 +63,10 @@ struct RenderedView {
     double milliseconds = 0;
     /// (pixel, plane) costs computed over pixels x N.
     double evaluated_fraction = 1;
-    /// Multiply-adds of the filters' differences; 0 where they are not counted.
-    double multiply_adds = 0;
+    /// Work that cannot be avoided, for comparison with what the machine could do at best; 0 where it is not
+    /// counted: multiply-adds of the filters' differences, bytes of the views and of the result, texels
+    /// fetched.
+    double multiply_adds = 0, bytes = 0, texels = 0;
     /// Time of parts of the work, where they are measured.
     std::vector<std::pair<std::string, double>> stages_ms;
     /// What was not computed, per reason, as a part of what there was to do (`fast`).

@@ -26,16 +26,15 @@ class ExactRenderer : public Renderer {
     const std::vector<PixelRect> blocks = exact_blocks(sweep);
     std::mutex reporting;
     std::size_t done = 0;
-    double multiply_adds = 0;
     parallel_for(static_cast<int>(blocks.size()), [&](int i) {
       SweepBlock block(sweep, blocks[static_cast<std::size_t>(i)]);
       for (int n = 0; n < options.planes; ++n) block.evaluate(n);
       block.write(out);
       const std::lock_guard lock(reporting);
-      multiply_adds += block.multiply_adds();
+      out.statistics.multiply_adds += block.multiply_adds();
+      out.statistics.bytes += block.bytes();
       reporter.at("blocks", ++done, blocks.size());
     });
-    out.statistics.multiply_adds = multiply_adds;
     out.statistics.milliseconds = std::chrono::duration<double, std::milli>(Clock::now() - start).count();
     return out;
   }

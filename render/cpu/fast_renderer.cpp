@@ -55,7 +55,7 @@ bool same_search(const RenderOptions& a, const RenderOptions& b) {
 
 /// Of one row of tiles: (pixel, plane) costs and pixels.
 struct RowWork {
-  double evaluated = 0, ruled_out = 0, flat = 0, multiply_adds = 0, cameras = 0;
+  double evaluated = 0, ruled_out = 0, flat = 0, multiply_adds = 0, bytes = 0, cameras = 0;
 };
 
 class FastRenderer : public Renderer {
@@ -213,6 +213,7 @@ RowWork FastRenderer::evaluate_tiles(SweepBlock& block, const TilePlan& plan, in
     }
   }
   work.multiply_adds = block.multiply_adds();
+  work.bytes = block.bytes();
   work.cameras = block.camera_count();
   return work;
 }
@@ -273,6 +274,7 @@ void FastRenderer::fill_statistics(RenderedView& out, const RenderOptions& optio
     all.ruled_out += row.ruled_out;
     all.flat += row.flat;
     all.multiply_adds += row.multiply_adds;
+    all.bytes += row.bytes;
     all.cameras += row.cameras;
   }
   const double pixels = static_cast<double>(out.plane.data.size()), work = pixels * options.planes;
@@ -280,6 +282,7 @@ void FastRenderer::fill_statistics(RenderedView& out, const RenderOptions& optio
   const double empty = options.skips.empty_planes ? (pixels - all.flat) * absent : 0;
   const double cameras = static_cast<double>(store_.views().cameras.size() * rows.size());
   out.statistics.multiply_adds = all.multiply_adds;
+  out.statistics.bytes = all.bytes;
   out.statistics.evaluated_fraction = all.evaluated / work;
   out.statistics.skipped = {
       {"empty planes", empty / work},

@@ -571,6 +571,14 @@ void SweepBlock::choose(int n, int x0, int x1) {
     std::fill_n(plane_.data() + static_cast<std::size_t>(y) * stride_ + (x0 - rect_.x0), x1 - x0, n);
 }
 
+double SweepBlock::bytes() const {
+  const int channels = shift_job_.channels;
+  const double pixels = static_cast<double>(rect_.x1 - rect_.x0) * (rect_.y1 - rect_.y0);
+  const double sample = static_cast<double>(bytes_per_sample(shift_job_.type));
+  // The result: colour, disparity, plane and confidence.
+  return pixels * (static_cast<double>(cameras_.size()) * channels * sample + 4.0 * (channels + 3));
+}
+
 /// colour and coverage: rasters of the block's outputs.
 void SweepBlock::colour_by_warp(const PixelRect& part, const SweepBlock& searched, float* colour,
                                 float* coverage) {

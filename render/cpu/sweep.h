@@ -95,6 +95,8 @@ class SweepBlock {
   int camera_count() const { return static_cast<int>(cameras_.size()); }
   /// Multiply-adds that the differences took.
   double multiply_adds() const { return multiply_adds_; }
+  /// Bytes of the views' pixels and of the result, each once.
+  double bytes() const;
 
  private:
   struct Shift {

@@ -13,6 +13,7 @@ struct Camera {
   int pad;
 };
 struct Stand { int camera; float weight; };
+struct Member { int camera; float weight[3]; };
 
 layout(binding = 0) uniform sampler2DArray pictures;                      // alpha 0: missing
 layout(std430, binding = 0) readonly buffer Cameras { Camera cameras[]; };  // [plane][camera]
@@ -25,7 +26,11 @@ layout(std430, binding = 5) buffer Rows { vec2 rows[]; };      // sums of E_0 an
 layout(std430, binding = 6) buffer Best { vec4 best[]; };      // E_min, sum of E, count of E, plane
 layout(std430, binding = 7) writeonly buffer Output { vec4 result[]; };  // two a pixel
 
+// Cameras with their weights by filter, where these are the same for all pixels.
+layout(std430, binding = 8) readonly buffer Members { Member members[]; };
+
 uniform ivec2 size;            // of the output
+uniform int member_count;
 uniform bool constant_position;
 uniform bool parallel_view;    // coordinate = pixel, u counted from the pixel; else coordinate = slope of the ray
 uniform mat3 ray_from_pixel;
@@ -80,27 +85,41 @@ bool coordinate_of(ivec2 pixel, out vec2 coordinate) {
   return r.z > 0.0;
 }
 
+// By filter: columns of `colour`, components of the others. Written out, since drivers keep arrays in memory.
 struct Sums {
-  vec3 colour[3];
-  float sampled[3], total[3];
+  mat3 colour;
+  vec3 sampled, total;
 };
 
-void add(inout Sums sums, int filter_index, float weight, bool seen, vec3 colour) {
-  sums.total[filter_index] += weight;
+Sums no_sums() { return Sums(mat3(0.0), vec3(0.0), vec3(0.0)); }
+
+void add(inout Sums sums, vec3 weight, bool seen, vec3 colour) {
+  sums.total += weight;
   if (!seen) return;
-  sums.colour[filter_index] += weight * colour;
-  sums.sampled[filter_index] += weight;
+  sums.colour[0] += weight.x * colour;
+  sums.colour[1] += weight.y * colour;
+  sums.colour[2] += weight.z * colour;
+  sums.sampled += weight;
+}
+
+Sums views_of_members(int n, ivec2 pixel, vec2 coordinate, bvec3 wanted) {
+  Sums sums = no_sums();
+  for (int m = 0; m < member_count; ++m) {
+    vec3 weight = vec3(members[m].weight[0], members[m].weight[1], members[m].weight[2]) * vec3(wanted);
+    if (weight.x + weight.y + weight.z <= 0.0) continue;
+    vec3 colour = vec3(0.0);
+    bool seen = fetch(cameras[n * camera_count + members[m].camera], pixel, coordinate, colour);
+    add(sums, weight, seen, colour);
+  }
+  return sums;
 }
 
 // The views through all three filters on plane n; every camera is sampled once, but for those that stand in
 // for holes of the thinned lattice.
 Sums views_of(int n, ivec2 pixel, vec2 coordinate, bvec3 wanted) {
-  Sums sums;
-  for (int f = 0; f < 3; ++f) {
-    sums.colour[f] = vec3(0.0);
-    sums.sampled[f] = sums.total[f] = 0.0;
-  }
-  vec2 p = clamp(positions[constant_position ? 0 : pixel.y * size.x + pixel.x], vec2(0.0), vec2(full_lattice - 1));
+  if (constant_position) return views_of_members(n, pixel, coordinate, wanted);
+  Sums sums = no_sums();
+  vec2 p = clamp(positions[pixel.y * size.x + pixel.x], vec2(0.0), vec2(full_lattice - 1));
   int reach = wanted.y || wanted.z ? 2 : 1;
   ivec2 first = ivec2(floor(p)) - reach + 1, last = min(first + 2 * reach - 1, full_lattice - 1);
   for (int row = max(first.y, 0); row <= last.y; ++row) {
@@ -118,8 +137,7 @@ Sums views_of(int n, ivec2 pixel, vec2 coordinate, bvec3 wanted) {
       for (int s = starts[node]; s < starts[node + 1]; ++s) {
         vec3 colour = vec3(0.0);
         bool seen = fetch(cameras[n * camera_count + stands[s].camera], pixel, coordinate, colour);
-        for (int f = 0; f < 3; ++f)
-          if (weight[f] > 0.0) add(sums, f, weight[f] * stands[s].weight, seen, colour);
+        add(sums, weight * stands[s].weight, seen, colour);
       }
     }
   }
@@ -135,7 +153,7 @@ Sums views_of(int n, ivec2 pixel, vec2 coordinate, bvec3 wanted) {
       for (int s = starts[thin]; s < starts[thin + 1]; ++s) {
         vec3 colour = vec3(0.0);
         bool seen = fetch(cameras[n * camera_count + stands[s].camera], pixel, coordinate, colour);
-        add(sums, 2, weight * stands[s].weight, seen, colour);
+        add(sums, vec3(0.0, 0.0, weight * stands[s].weight), seen, colour);
       }
     }
   }

@@ -115,7 +115,7 @@ class TextureArray {
 };
 
 /// Buffers of common.glsl, by binding.
-enum Slot { kCameras, kPositions, kStarts, kStands, kCosts, kRows, kBest, kOutput, kSlots };
+enum Slot { kCameras, kPositions, kStarts, kStands, kCosts, kRows, kBest, kOutput, kMembers, kSlots };
 
 class GlExactRenderer : public Renderer {
  public:
@@ -158,6 +158,7 @@ class GlExactRenderer : public Renderer {
   void prepare(const Sweep& sweep);
   void upload_lattice();
   void upload_cameras(const Sweep& sweep);
+  void upload_members(const Sweep& sweep, const std::vector<int>& cameras);
   void set_uniforms(GLuint program, const Sweep& sweep) const;
   void dispatch(GLuint program, const Viewpoint& view) const {
     glUseProgram(program);
@@ -184,7 +185,7 @@ class GlExactRenderer : public Renderer {
   std::array<GLuint, kSlots> buffers_{};
   std::array<std::size_t, kSlots> reserved_{};
   std::array<GLuint, 3> queries_{};
-  int second_lattice_ = 0;
+  int second_lattice_ = 0, camera_count_ = 0;
 };
 
 void GlExactRenderer::upload_lattice() {
@@ -219,6 +220,21 @@ void GlExactRenderer::upload_cameras(const Sweep& sweep) {
   upload(kCameras, cameras);
 }
 
+void GlExactRenderer::upload_members(const Sweep& sweep, const std::vector<int>& cameras) {
+  struct Member {
+    GLint camera;
+    std::array<float, 3> weight;
+  };
+  std::vector<Member> members(cameras.size());
+  for (std::size_t i = 0; i < cameras.size(); ++i) {
+    members[i] = {cameras[i], {0, 0, 0}};
+    for (std::size_t k = 0; k < 3; ++k)
+      for (const CameraWeight& c : sweep.constant[k])
+        if (c.camera == cameras[i]) members[i].weight[k] = static_cast<float>(c.weight);
+  }
+  upload(kMembers, members);
+}
+
 void GlExactRenderer::set_uniforms(GLuint program, const Sweep& sweep) const {
   const LightField& lf = store_.views().lf;
   const Viewpoint& view = sweep.view;
@@ -237,6 +253,7 @@ void GlExactRenderer::set_uniforms(GLuint program, const Sweep& sweep) const {
   glProgramUniform2i(program, at(program, "full_lattice"), lf.cols, lf.rows);
   glProgramUniform2i(program, at(program, "thinned_lattice"), thinned.thinned_cols(), thinned.thinned_rows());
   glProgramUniform1i(program, at(program, "second_lattice"), second_lattice_);
+  glProgramUniform1i(program, at(program, "member_count"), camera_count_);
   glProgramUniform1i(program, at(program, "camera_count"), static_cast<GLint>(store_.views().cameras.size()));
   glProgramUniform1f(program, at(program, "snap_px"), static_cast<float>(FocalPlaneRenderer::kSnap_px));
   glProgramUniform1f(program, at(program, "least_coverage"), FocalPlaneRenderer::kLeastCoverage);
@@ -251,7 +268,9 @@ void GlExactRenderer::set_uniforms(GLuint program, const Sweep& sweep) const {
 void GlExactRenderer::prepare(const Sweep& sweep) {
   const SweepBlock whole(sweep, {0, 0, sweep.view.width, sweep.view.height});
   textures_.need(store_, whole.cameras());
+  camera_count_ = whole.camera_count();
   upload_cameras(sweep);
+  upload_members(sweep, whole.cameras());
   std::vector<std::array<float, 2>> positions;
   for (const Eigen::Vector2d& p : sweep.positions.p)
     positions.push_back({static_cast<float>(p.x()), static_cast<float>(p.y())});
@@ -312,6 +331,8 @@ RenderedView GlExactRenderer::render(const Viewpoint& view, const RenderOptions&
   });
   std::array<GLuint64, 3> ns{};
   for (std::size_t i = 0; i < ns.size(); ++i) glGetQueryObjectui64v(queries_[i], GL_QUERY_RESULT, &ns[i]);
+  // Each camera of the aperture is sampled once a plane, by four texels.
+  out.statistics.texels = 4.0 * camera_count_ * static_cast<double>(pixels) * (options.planes + 1);
   out.statistics.stages_ms = {{"planes on the GPU", static_cast<double>(ns[1] - ns[0]) * 1e-6},
                               {"colour on the GPU", static_cast<double>(ns[2] - ns[1]) * 1e-6}};
   out.statistics.milliseconds = std::chrono::duration<double, std::milli>(Clock::now() - start).count();

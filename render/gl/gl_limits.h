@@ -1,0 +1,9 @@
+#pragma once
+
+namespace stuv {
+
+/// Texels per second that a compute shader fetches from an array of 8-bit colour textures. Throws Error if
+/// this machine has no OpenGL 4.5.
+double measure_texel_fetches(double seconds);
+
+}  // namespace stuv
