@@ -43,7 +43,7 @@ constexpr std::size_t kGreyBudget = std::size_t{96} << 20, kCoarseBudget = std::
 constexpr int kPlaneStep = 2;
 /// Of costs between the best and the mean of a coarse pixel, those that are as good as the best; and of full
 /// scale.
-constexpr float kEnough = 0.04F, kNoise = 0.035F / 255;
+constexpr float kEnough = 0.02F, kNoise = 0.035F / 255;
 
 /// Tiles whose expectations were carried over at this part of their coarse pixels at least.
 constexpr double kLeastKnown = 0.9;

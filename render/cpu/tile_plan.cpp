@@ -11,7 +11,7 @@ namespace {
 constexpr int kCell = TilePlan::kTile / kCoarse;  ///< coarse pixels a tile
 /// Coarse pixels around a tile that have a say, beside the window's reach; planes taken beside each that is
 /// chosen.
-constexpr int kReach = 1, kNeighbours = 1;
+constexpr int kReach = 2, kNeighbours = 1;
 
 /// Coarse pixels that decide about a tile.
 PixelRect cells_of(const Expectation& expected, const RenderOptions& options, int row, int col) {
