@@ -16,6 +16,7 @@ void add_import_command(CLI::App& app, Action& action);
 void add_rectify_command(CLI::App& app, Action& action);
 void add_plan_command(CLI::App& app, Action& action);
 void add_render_command(CLI::App& app, Action& action);
+void add_view_command(CLI::App& app, Action& action);
 void add_bench_command(CLI::App& app, Action& action);
 
 }  // namespace stuv

@@ -14,6 +14,8 @@ find_package(nlohmann_json REQUIRED)
 find_package(tomlplusplus REQUIRED)
 find_package(CLI11 2.1 REQUIRED)
 pkg_check_modules(epoxy REQUIRED IMPORTED_TARGET epoxy)
+pkg_check_modules(imgui REQUIRED IMPORTED_TARGET imgui)
+pkg_check_modules(glfw REQUIRED IMPORTED_TARGET glfw3)
 
 # mrcal and CHOLMOD ship neither a CMake config nor a .pc file.
 find_path(MRCAL_INCLUDE_DIR mrcal/mrcal.h REQUIRED)

@@ -4,6 +4,7 @@
 #include <fmt/format.h>
 
 #include <array>
+#include <cstring>
 
 #include "core/error.h"
 
@@ -15,13 +16,33 @@ namespace {
               "install a driver with OpenGL 4.5 (Mesa has one in software), or use --backend cpu");
 }
 
+/// A display of a graphics card that needs no window system; EGL_NO_DISPLAY if there is no card.
+EGLDisplay card_display() {
+  const char* client = eglQueryString(EGL_NO_DISPLAY, EGL_EXTENSIONS);
+  if (client == nullptr || std::strstr(client, "EGL_EXT_device_enumeration") == nullptr)
+    return EGL_NO_DISPLAY;
+  std::array<EGLDeviceEXT, 16> devices{};
+  EGLint count = 0;
+  if (!eglQueryDevicesEXT(static_cast<EGLint>(devices.size()), devices.data(), &count)) return EGL_NO_DISPLAY;
+  for (std::size_t i = 0; i < static_cast<std::size_t>(count); ++i) {
+    const char* is = eglQueryDeviceStringEXT(devices[i], EGL_EXTENSIONS);
+    if (is == nullptr || std::strstr(is, "software") != nullptr) continue;
+    const EGLDisplay display = eglGetPlatformDisplayEXT(EGL_PLATFORM_DEVICE_EXT, devices[i], nullptr);
+    if (display != EGL_NO_DISPLAY && eglInitialize(display, nullptr, nullptr)) return display;
+  }
+  return EGL_NO_DISPLAY;
+}
+
 }  // namespace
 
 GlContext::GlContext() {
-  display_ = eglGetPlatformDisplayEXT(EGL_PLATFORM_SURFACELESS_MESA, EGL_DEFAULT_DISPLAY, nullptr);
-  if (!eglInitialize(display_, nullptr, nullptr)) {
-    display_ = eglGetDisplay(EGL_DEFAULT_DISPLAY);
-    if (!eglInitialize(display_, nullptr, nullptr)) fail("no display");
+  display_ = card_display();
+  if (display_ == EGL_NO_DISPLAY) {
+    display_ = eglGetPlatformDisplayEXT(EGL_PLATFORM_SURFACELESS_MESA, EGL_DEFAULT_DISPLAY, nullptr);
+    if (!eglInitialize(display_, nullptr, nullptr)) {
+      display_ = eglGetDisplay(EGL_DEFAULT_DISPLAY);
+      if (!eglInitialize(display_, nullptr, nullptr)) fail("no display");
+    }
   }
   const EGLint config_attributes[] = {EGL_SURFACE_TYPE, EGL_PBUFFER_BIT, EGL_RENDERABLE_TYPE, EGL_OPENGL_BIT,
                                       EGL_NONE};

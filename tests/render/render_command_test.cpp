@@ -9,27 +9,6 @@
 using namespace stuv;
 using namespace stuv::test;
 
-namespace {
-
-/// A plane of disparity 2 seen by 2x2 cameras, on disk.
-LightField write_scene(const std::filesystem::path& folder, PixelType type, bool metric) {
-  const auto set = make_views({.rows = 2, .cols = 2});
-  paint_plane(*set, 2, waves);
-  LightField lf = set->lf;
-  lf.folder = folder;
-  lf.type = type;
-  lf.metric = metric;
-  lf.d_min = lf.d_max = std::nan("");
-  for (std::size_t i = 0; i < lf.views.size(); ++i) {
-    lf.views[i].file = "views/" + lf.views[i].name + ".tif";
-    write_view(lf, lf.views[i], from_float(set->pixels[i].colour, lf.type));
-  }
-  write_manifest(lf);
-  return lf;
-}
-
-}  // namespace
-
 TEST_CASE("stuv render: outputs, wrong usage, and nothing overwritten") {
   const TempFolder folder;
   const LightField lf = write_scene(folder / "scene", PixelType::u8, false);

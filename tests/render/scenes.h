@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <filesystem>
 #include <functional>
 #include <memory>
 
@@ -93,6 +94,24 @@ inline void paint_differently(ViewSet& set) {
     for (int y = 0; y < set.lf.height; ++y)
       for (int x = 0; x < set.lf.width; ++x) set.pixels[i].colour.at(x, y) = waves(x + shift, y - shift);
   }
+}
+
+/// A plane of disparity 2 seen by 2x2 cameras, on disk.
+inline LightField write_scene(const std::filesystem::path& folder, PixelType type, bool metric,
+                              const Lattice& lattice = {.rows = 2, .cols = 2}) {
+  const auto set = make_views(lattice);
+  paint_plane(*set, 2, waves);
+  LightField lf = set->lf;
+  lf.folder = folder;
+  lf.type = type;
+  lf.metric = metric;
+  lf.d_min = lf.d_max = std::nan("");
+  for (std::size_t i = 0; i < lf.views.size(); ++i) {
+    lf.views[i].file = "views/" + lf.views[i].name + ".tif";
+    write_view(lf, lf.views[i], from_float(set->pixels[i].colour, lf.type));
+  }
+  write_manifest(lf);
+  return lf;
 }
 
 }  // namespace stuv::test
