@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cmath>
 #include <vector>
 
 #include "core/parallel.h"
@@ -14,7 +15,8 @@ inline bool same_viewpoint(const Viewpoint& a, const Viewpoint& b) {
          a.height == b.height;
 }
 
-/// Where each pixel's ray crosses the lattice. One place for the whole picture where that is so.
+/// Where each pixel's ray crosses the lattice. One place for the whole picture where that is so: of a
+/// viewpoint on the surface through the cameras' centres.
 struct LatticePositions {
   bool constant = false;
   std::vector<Eigen::Vector2d> p;  ///< one, or one a pixel, row by row
@@ -27,9 +29,11 @@ struct LatticePositions {
 inline LatticePositions lattice_positions(const LatticeChart& chart, const Viewpoint& view) {
   const Eigen::Vector3d o(view.s, view.t, view.z);
   LatticePositions out;
-  out.constant = chart.planar() && view.z == 0;
+  const Eigen::Vector2d straight = chart.position(o, 0, 0);
+  // As camera_surface_z finds z, but for rounding.
+  out.constant = std::abs(chart.surface_w(straight) - view.z) <= 1e-9 * std::abs(view.z);
   if (out.constant) {
-    out.p.push_back(chart.position(o, 0, 0));
+    out.p.push_back(straight);
     return out;
   }
   out.p.resize(static_cast<std::size_t>(view.width) * view.height);

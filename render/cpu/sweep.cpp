@@ -32,6 +32,19 @@ bool any_missing(const StoredView& view, const PixelRect& rect) {
   return false;
 }
 
+/// The first columns of each row of `rect` between which nothing is missing: all of them, where a picture was
+/// warped and lacks its corners only.
+std::vector<kernels::PresentSpan> present_spans(const StoredView& view, const PixelRect& rect) {
+  std::vector<kernels::PresentSpan> spans;
+  for (int y = rect.y0; y < rect.y1; ++y) {
+    const std::uint8_t* row = view.mask_plane() + static_cast<std::size_t>(y) * view.width;
+    const auto* begin = std::find_if(row + rect.x0, row + rect.x1, [](std::uint8_t m) { return m != 0; });
+    const auto* end = std::find(begin, row + rect.x1, std::uint8_t{0});
+    spans.push_back({static_cast<std::int32_t>(begin - row), static_cast<std::int32_t>(end - row)});
+  }
+  return spans;
+}
+
 /// The pixels of a camera that rays through `halo` may meet on planes between two.
 PixelRect needed_pixels(const Sweep& sweep, const View& camera, const PixelRect& halo) {
   const LightField& lf = sweep.store.views().lf;
@@ -159,6 +172,8 @@ void SweepBlock::acquire_views() {
     views_.push_back(sweep_.store.acquire(
         c, sweep_.options.skips.unread_tiles ? needed : PixelRect{0, 0, set.lf.width, set.lf.height}));
     masked_.push_back(any_missing(*views_.back(), needed) ? 1 : 0);
+    spans_.push_back({needed.y0, {}});
+    if (masked_.back()) spans_.back().rows = present_spans(*views_.back(), needed);
     any_masked_ = any_masked_ || masked_.back() != 0;
   }
 }
@@ -378,6 +393,11 @@ void SweepBlock::make_weights() {
   for (std::size_t i = 0; i < cameras_.size(); ++i) {
     warp_job_.cameras[i].view = views_[i].get();
     warp_job_.cameras[i].masked = masked_[i] != 0;
+    warp_job_.cameras[i].spans = spans_[i].rows.data();
+    warp_job_.cameras[i].spans_y0 = spans_[i].y0;
+    warp_job_.cameras[i].spans_y1 = spans_[i].y0 + static_cast<int>(spans_[i].rows.size());
+    for (std::size_t k = 0; k < 3; ++k)
+      warp_job_.cameras[i].constant[k] = static_cast<float>(constant_[i][k]);
     for (std::size_t k = 0; k < 3; ++k)
       if (wanted(i, k)) warp_job_.cameras[i].weight[k] = weights_.data() + at[i][k];
   }

@@ -137,6 +137,11 @@ class SweepBlock {
   std::vector<std::array<double, 3>> constant_;  ///< their weights by filter
   std::vector<std::shared_ptr<const StoredView>> views_;
   std::vector<char> masked_;
+  struct Spans {
+    int y0 = 0;
+    std::vector<kernels::PresentSpan> rows;
+  };
+  std::vector<Spans> spans_;  ///< of masked views
   bool any_masked_ = false, by_shift_ = false;
   std::vector<Shift> shifts_;  ///< of plane shifts_plane_, beside cameras_
   int shifts_plane_ = -1;

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <vector>
 
 #include "render/focal_plane.h"
 
@@ -312,56 +313,195 @@ HWY_INLINE V pair_difference(const WarpJob& job, const Sums& sums, const V* inve
   return hn::Mul(e, hn::Set(d, job.scale));
 }
 
-void WarpDifference(const WarpJob& job, const WarpMap* maps, int x, int y, int width, int height, float* E0,
-                    float* defined, float* candidate) {
+/// Equation 5 of one vector of pixels, block coordinates (col, row).
+void warp_vector(const WarpJob& job, const WarpMap* maps, int col, int row, float* E0, float* defined,
+                 float* candidate) {
   const int lanes = static_cast<int>(hn::Lanes(d));
   const float a[3] = {job.a.a01, job.a.a02, job.a.a12};
   const int first[3] = {0, 0, 1}, second[3] = {1, 2, 2};
-  for (int row = y; row < y + height; ++row) {
-    for (int col = x; col < x + width; col += lanes) {
-      const std::size_t i = static_cast<std::size_t>(row) * job.stride + col;
-      const V gx = hn::LoadU(d, job.gx + (job.parallel ? static_cast<std::size_t>(col) : i));
-      const V gy = job.parallel ? hn::Set(d, job.gy[row]) : hn::LoadU(d, job.gy + i);
-      const std::size_t w = static_cast<std::size_t>(row) * job.weight_stride + col;
-      Sums sums;
-      clear(sums);
-      for (std::size_t c = 0; c < job.cameras.size(); ++c) {
-        const WarpCamera& camera = job.cameras[c];
-        const WarpMap& m = maps[c];
-        if (!m.visible) continue;
-        V weight[3];
-        bool takes_part[3];
-        V any = hn::Zero(d);
-        for (int k = 0; k < 3; ++k) {
-          takes_part[k] = camera.weight[k] != nullptr;
-          weight[k] = takes_part[k] ? hn::LoadU(d, camera.weight[k] + w) : hn::Zero(d);
-          any = hn::Max(any, weight[k]);
-        }
-        if (hn::AllFalse(d, hn::Gt(any, hn::Zero(d)))) continue;
-        const VectorMap map{hn::Set(di, m.whole_x), hn::Set(di, m.whole_y), hn::Set(d, m.frac_x),
-                            hn::Set(d, m.frac_y),   hn::Set(d, m.slope),    hn::FirstN(d, lanes)};
-        dispatch(job, camera, map, gx, gy, weight, takes_part, sums);
-      }
-      V inverse[3];
-      M good[3];
-      for (int k = 0; k < 3; ++k) {
-        good[k] = hn::Ge(sums.weight[k], hn::Set(d, FocalPlaneRenderer::kLeastCoverage));
-        const M any = hn::Gt(sums.weight[k], hn::Zero(d));
-        inverse[k] = hn::IfThenElseZero(any, hn::Div(hn::Set(d, 1), sums.weight[k]));
-      }
-      V e = hn::Zero(d);
-      M all = hn::FirstN(d, lanes);
-      for (int p = 0; p < 3; ++p) {
-        if (a[p] == 0) continue;
-        e = hn::MulAdd(hn::Set(d, a[p]), pair_difference(job, sums, inverse, first[p], second[p]), e);
-        all = hn::And(all, hn::And(good[first[p]], good[second[p]]));
-      }
-      hn::StoreU(hn::IfThenElseZero(all, e), d, E0 + i);
-      hn::StoreU(hn::IfThenElseZero(all, hn::Set(d, 1)), d, defined + i);
-      hn::StoreU(hn::IfThenElseZero(hn::Gt(sums.weight[job.k], hn::Zero(d)), hn::Set(d, 1)), d,
-                 candidate + i);
+  const std::size_t i = static_cast<std::size_t>(row) * job.stride + col;
+  const V gx = hn::LoadU(d, job.gx + (job.parallel ? static_cast<std::size_t>(col) : i));
+  const V gy = job.parallel ? hn::Set(d, job.gy[row]) : hn::LoadU(d, job.gy + i);
+  const std::size_t w = static_cast<std::size_t>(row) * job.weight_stride + col;
+  Sums sums;
+  clear(sums);
+  for (std::size_t c = 0; c < job.cameras.size(); ++c) {
+    const WarpCamera& camera = job.cameras[c];
+    const WarpMap& m = maps[c];
+    if (!m.visible) continue;
+    V weight[3];
+    bool takes_part[3];
+    V any = hn::Zero(d);
+    for (int k = 0; k < 3; ++k) {
+      takes_part[k] = camera.weight[k] != nullptr;
+      weight[k] = takes_part[k] ? hn::LoadU(d, camera.weight[k] + w) : hn::Zero(d);
+      any = hn::Max(any, weight[k]);
+    }
+    if (hn::AllFalse(d, hn::Gt(any, hn::Zero(d)))) continue;
+    const VectorMap map{hn::Set(di, m.whole_x), hn::Set(di, m.whole_y), hn::Set(d, m.frac_x),
+                        hn::Set(d, m.frac_y),   hn::Set(d, m.slope),    hn::FirstN(d, lanes)};
+    dispatch(job, camera, map, gx, gy, weight, takes_part, sums);
+  }
+  V inverse[3];
+  M good[3];
+  for (int k = 0; k < 3; ++k) {
+    good[k] = hn::Ge(sums.weight[k], hn::Set(d, FocalPlaneRenderer::kLeastCoverage));
+    const M any = hn::Gt(sums.weight[k], hn::Zero(d));
+    inverse[k] = hn::IfThenElseZero(any, hn::Div(hn::Set(d, 1), sums.weight[k]));
+  }
+  V e = hn::Zero(d);
+  M all = hn::FirstN(d, lanes);
+  for (int p = 0; p < 3; ++p) {
+    if (a[p] == 0) continue;
+    e = hn::MulAdd(hn::Set(d, a[p]), pair_difference(job, sums, inverse, first[p], second[p]), e);
+    all = hn::And(all, hn::And(good[first[p]], good[second[p]]));
+  }
+  hn::StoreU(hn::IfThenElseZero(all, e), d, E0 + i);
+  hn::StoreU(hn::IfThenElseZero(all, hn::Set(d, 1)), d, defined + i);
+  hn::StoreU(hn::IfThenElseZero(hn::Gt(sums.weight[job.k], hn::Zero(d)), hn::Set(d, 1)), d, candidate + i);
+}
+
+/// One camera along a row of a parallel view with constant weights: both rows of taps and their fraction are
+/// the same for the whole row.
+struct RowCamera {
+  const StoredView* view;
+  const WarpMap* map;
+  std::size_t upper, lower;  ///< samples from the plane's pixel (0, 0) to column whole_x of the two rows
+  float ay, w1, w2;          ///< weights in I_0 - I_1 and I_0 - I_2
+  int begin, end;            ///< taps that are there, counted from column whole_x
+};
+
+/// The cameras of a row; false if one of them does not see it.
+inline bool row_cameras(const WarpJob& job, const WarpMap* maps, int row, std::vector<RowCamera>& out) {
+  out.clear();
+  for (std::size_t c = 0; c < job.cameras.size(); ++c) {
+    const WarpCamera& camera = job.cameras[c];
+    const WarpMap& m = maps[c];
+    const float w1 = camera.constant[0] - camera.constant[1], w2 = camera.constant[0] - camera.constant[2];
+    if (camera.constant[0] + camera.constant[1] + camera.constant[2] <= 0) continue;
+    if (!m.visible) return false;
+    float v = m.slope * job.gy[row] + m.frac_y;
+    if (const float nearest = std::round(v);
+        std::abs(v - nearest) < static_cast<float>(FocalPlaneRenderer::kSnap_px))
+      v = nearest;
+    if (!(std::abs(v) < 1e6F)) return false;
+    const float below = std::floor(v);
+    const int y0 = m.whole_y + static_cast<int>(below), y1 = y0 + (v > below ? 1 : 0);
+    if (y0 < 0 || y1 >= camera.view->height) return false;
+    int begin = 0, end = camera.view->width;
+    if (camera.masked) {
+      if (y0 < camera.spans_y0 || y1 >= camera.spans_y1) return false;
+      const PresentSpan &upper = camera.spans[y0 - camera.spans_y0],
+                        &lower = camera.spans[y1 - camera.spans_y0];
+      begin = std::max(upper.begin, lower.begin);
+      end = std::min(upper.end, lower.end);
+    }
+    const auto stride = static_cast<std::size_t>(camera.view->width);
+    const auto x = static_cast<std::size_t>(static_cast<std::ptrdiff_t>(m.whole_x));
+    out.push_back({camera.view, &m, static_cast<std::size_t>(y0) * stride + x,
+                   static_cast<std::size_t>(y1) * stride + x, v - below, w1, w2, begin - m.whole_x,
+                   end - m.whole_x});
+  }
+  return true;
+}
+
+/// Equation 5 of one vector, if every camera meets it with lanes side by side, one at most a pixel nearer or
+/// farther than the rest, and all is there; else false.
+template <class T, int C>
+HWY_INLINE bool row_vector(const WarpJob& job, const std::vector<RowCamera>& cameras, int col, float* E0) {
+  const int lanes = static_cast<int>(hn::Lanes(d));
+  const V gx = hn::LoadU(d, job.gx + col), zero = hn::Zero(d), one = hn::Set(d, 1);
+  const V snap = hn::Set(d, static_cast<float>(FocalPlaneRenderer::kSnap_px));
+  const V lane = hn::ConvertTo(d, hn::Iota(di, 0));
+  V d1[C], d2[C];
+  for (int c = 0; c < C; ++c) d1[c] = d2[c] = zero;
+  for (const RowCamera& camera : cameras) {
+    const WarpMap& m = *camera.map;
+    // Of the first and the last lane. At a slope near 1 px a pixel those between lie between.
+    const float u0 = std::floor(m.slope * job.gx[col] + m.frac_x);
+    const float u1 = std::floor(m.slope * job.gx[col + lanes - 1] + m.frac_x) - static_cast<float>(lanes - 1);
+    const float low = std::min(u0, u1);
+    // Also for NaN.
+    if (!(std::abs(u1 - u0) <= 1) || !(std::abs(low) < 1e6F)) return false;
+    const bool even = u0 == u1;
+    const int i = static_cast<int>(low);
+    // The last lane's right neighbours are read, too.
+    if (i < camera.begin || i + lanes + (even ? 0 : 1) >= camera.end) return false;
+    // 0 to 1; to 2 where a lane has moved on by a pixel.
+    V f = hn::Sub(hn::MulAdd(hn::Set(d, m.slope), gx, hn::Set(d, m.frac_x)), hn::Add(hn::Set(d, low), lane));
+    f = hn::IfThenElse(hn::Lt(f, snap), zero, f);
+    f = hn::IfThenElse(hn::Lt(hn::Abs(hn::Sub(one, f)), snap), one, f);
+    const V beyond = hn::Max(hn::Sub(f, one), zero);
+    f = hn::Min(f, one);
+    const V ay = hn::Set(d, camera.ay), w1 = hn::Set(d, camera.w1), w2 = hn::Set(d, camera.w2);
+#pragma GCC unroll 3
+    for (int c = 0; c < C; ++c) {
+      const T* p = camera.view->plane<T>(c) + static_cast<std::ptrdiff_t>(camera.upper) + i;
+      const T* q = camera.view->plane<T>(c) + static_cast<std::ptrdiff_t>(camera.lower) + i;
+      const auto column = [&](int x) {
+        const V upper = load(p + x);
+        return hn::MulAdd(ay, hn::Sub(load(q + x), upper), upper);
+      };
+      const V left = column(0), right = column(1);
+      V value = hn::MulAdd(f, hn::Sub(right, left), left);
+      if (!even) value = hn::MulAdd(beyond, hn::Sub(column(2), right), value);
+      d1[c] = hn::MulAdd(w1, value, d1[c]);
+      d2[c] = hn::MulAdd(w2, value, d2[c]);
     }
   }
+  V e = zero;
+  for (int c = 0; c < C; ++c) {
+    e = hn::MulAdd(hn::Set(d, job.a.a01), hn::Abs(d1[c]), e);
+    e = hn::MulAdd(hn::Set(d, job.a.a02), hn::Abs(d2[c]), e);
+    e = hn::MulAdd(hn::Set(d, job.a.a12), hn::Abs(hn::Sub(d2[c], d1[c])), e);
+  }
+  hn::StoreU(hn::Mul(e, hn::Set(d, job.scale)), d, E0);
+  return true;
+}
+
+template <class T, int C>
+void row_difference(const WarpJob& job, const WarpMap* maps, int x, int y, int width, int height, float* E0,
+                    float* defined, float* candidate) {
+  const V one = hn::Set(d, 1);
+  std::vector<RowCamera> cameras;
+  for (int row = y; row < y + height; ++row) {
+    const bool seen = row_cameras(job, maps, row, cameras);
+    for (int col = x; col < x + width; col += static_cast<int>(hn::Lanes(d))) {
+      const std::size_t i = static_cast<std::size_t>(row) * job.stride + col;
+      if (seen && row_vector<T, C>(job, cameras, col, E0 + i)) {
+        hn::StoreU(one, d, defined + i);
+        hn::StoreU(one, d, candidate + i);
+      } else {
+        warp_vector(job, maps, col, row, E0, defined, candidate);
+      }
+    }
+  }
+}
+
+template <class T>
+void row_difference_of(const WarpJob& job, const WarpMap* maps, int x, int y, int width, int height,
+                       float* E0, float* defined, float* candidate) {
+  if (job.channels == 3)
+    row_difference<T, 3>(job, maps, x, y, width, height, E0, defined, candidate);
+  else
+    row_difference<T, 1>(job, maps, x, y, width, height, E0, defined, candidate);
+}
+
+void WarpDifference(const WarpJob& job, const WarpMap* maps, int x, int y, int width, int height, float* E0,
+                    float* defined, float* candidate) {
+  if (job.parallel && job.weight_stride == 0 && !job.cameras.empty()) {
+    const PixelType type = job.cameras.front().view->type;
+    if (type == PixelType::u8)
+      row_difference_of<std::uint8_t>(job, maps, x, y, width, height, E0, defined, candidate);
+    else if (type == PixelType::u16)
+      row_difference_of<std::uint16_t>(job, maps, x, y, width, height, E0, defined, candidate);
+    else
+      row_difference_of<float>(job, maps, x, y, width, height, E0, defined, candidate);
+    return;
+  }
+  for (int row = y; row < y + height; ++row)
+    for (int col = x; col < x + width; col += static_cast<int>(hn::Lanes(d)))
+      warp_vector(job, maps, col, row, E0, defined, candidate);
 }
 
 /// The maps of one camera at each lane's plane.

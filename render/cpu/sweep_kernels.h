@@ -54,10 +54,18 @@ struct WarpMap {
   std::int32_t visible = 0;
 };
 
+/// Columns [begin, end) of a row of a view in which nothing is missing.
+struct PresentSpan {
+  std::int32_t begin = 0, end = 0;
+};
+
 /// One camera of a block of any viewpoint.
 struct WarpCamera {
   const StoredView* view = nullptr;
   bool masked = false;
+  const PresentSpan* spans = nullptr;  ///< of rows from `spans_y0` on, if masked
+  std::int32_t spans_y0 = 0, spans_y1 = 0;
+  float constant[3] = {0, 0, 0};  ///< weights by filter, where weight_stride is 0
   /// Weights by filter, one a pixel of the block; null where the camera has no part.
   const float* weight[3] = {nullptr, nullptr, nullptr};
 };

@@ -109,6 +109,7 @@ void check_every_viewpoint(Backend backend) {
       {.rows = 3, .cols = 3},
       {.rows = 4, .cols = 5, .width = 131, .height = 77, .jitter = 0.2, .off_plane = 0.15},
       {.rows = 4, .cols = 4, .jitter = 0.1},
+      {.rows = 4, .cols = 4, .width = 150, .height = 60, .jitter = 0.1, .off_plane = 0.02},
       {.rows = 1, .cols = 6, .jitter = 0.1},
       {.rows = 6, .cols = 1},
       {.rows = 4, .cols = 4, .jitter = 0.1, .holes = {{0, 0}, {1, 1}, {2, 1}, {3, 3}}},
@@ -126,10 +127,11 @@ void check_every_viewpoint(Backend backend) {
       Viewpoint zoomed = default_viewpoint(set->lf, 0.7, 0.6);
       zoomed.focal_px *= 1.7;
       const View& camera = set->cameras.back();
+      const double surface = camera_surface_z(set->lf, 0.9, 0.6);
       for (const Viewpoint& view :
            {default_viewpoint(set->lf, 0.7, 0.6), default_viewpoint(set->lf, camera.s, camera.t, camera.w),
-            default_viewpoint(set->lf, 1, 1.3), default_viewpoint(set->lf, 1.3, 1.1, -0.9),
-            default_viewpoint(set->lf, 40, 1), rotated, zoomed,
+            default_viewpoint(set->lf, 0.9, 0.6, surface), default_viewpoint(set->lf, 1, 1.3),
+            default_viewpoint(set->lf, 1.3, 1.1, -0.9), default_viewpoint(set->lf, 40, 1), rotated, zoomed,
             resized(default_viewpoint(set->lf, 0.2, 0.9), 67, 91)}) {
         RenderOptions options;
         options.planes = 7;

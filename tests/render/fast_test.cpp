@@ -40,6 +40,14 @@ std::shared_ptr<ViewSet> scene() {
   return set;
 }
 
+/// Nothing is skipped.
+Skips nothing() {
+  Skips s;
+  s.empty_planes = s.tile_planes = s.flat_tiles = s.tile_margins = s.colour_costs = false;
+  s.idle_cameras = s.second_filter = s.unread_tiles = s.previous_view = false;
+  return s;
+}
+
 RenderOptions options_of() {
   RenderOptions options;
   options.planes = 17;
@@ -91,15 +99,20 @@ TEST_CASE("Each skip of fast can be switched off alone") {
   CHECK(skipped(render([](Skips& s) { s.tile_planes = false; }), "planes not near the tile") ==
         Approx(0).margin(1e-9));
   CHECK(skipped(render([](Skips& s) { s.flat_tiles = false; }), "flat tiles") == 0);
+  CHECK(skipped(render([](Skips& s) { s.tile_margins = false; }), "pixels beside tiles") == 0);
+  CHECK(skipped(render([](Skips& s) { s.colour_costs = false; }), "colour in costs") == 0);
   CHECK(skipped(render([](Skips& s) { s.idle_cameras = false; }), "idle cameras") == 0);
   CHECK(skipped(render([](Skips& s) { s.second_filter = false; }), "second filter") == 0);
   CHECK(skipped(render([](Skips& s) { s.unread_tiles = false; }), "unread tiles of the database") == 0);
   // With nothing left out, it is exact.
-  const RenderedView all = render([](Skips& s) { s = {false, false, false, false, false, false, false}; });
+  const RenderedView all = render([](Skips& s) { s = nothing(); });
   CHECK(all.colour.data == exact.colour.data);
   CHECK(all.plane.data == exact.plane.data);
   // Where many planes are looked at, the second filter rules some out, and changes nothing.
-  const RenderedView ruled = render([](Skips& s) { s = {false, false, false, true, true, true, false}; });
+  const RenderedView ruled = render([](Skips& s) {
+    s = nothing();
+    s.second_filter = s.idle_cameras = s.unread_tiles = true;
+  });
   CHECK(skipped(ruled, "second filter") > 0);
   CHECK(ruled.colour.data == exact.colour.data);
   CHECK(ruled.plane.data == exact.plane.data);
@@ -147,4 +160,26 @@ TEST_CASE("fast: every kind of viewpoint and lattice") {
       CHECK(psnr(exact->all_in_focus(view, options).colour, fast->all_in_focus(view, options).colour) > 34);
     }
   }
+}
+
+TEST_CASE("fast tells planes apart whose texture is in colour alone") {
+  const auto set = make_views({.rows = 4, .cols = 4, .width = 200, .height = 160});
+  paint_plane(*set, 3, waves);
+  set->lf.channels = 3;
+  for (ViewPixels& pixels : set->pixels) {
+    ImageF colour(200, 160, 3);
+    for (std::size_t i = 0; i < pixels.colour.data.size(); ++i) {
+      // (R + 2G + B) / 4 is the same everywhere.
+      colour.data[3 * i] = pixels.colour.data[i];
+      colour.data[3 * i + 1] = 0.5F;
+      colour.data[3 * i + 2] = 1 - pixels.colour.data[i];
+    }
+    pixels.colour = colour;
+  }
+  const Viewpoint view = default_viewpoint(set->lf, 1.4, 1.5);
+  const RenderedView exact =
+      make_renderer(Method::exact, Backend::cpu, set)->all_in_focus(view, options_of());
+  const RenderedView fast = make_renderer(Method::fast, Backend::cpu, set)->all_in_focus(view, options_of());
+  CHECK(skipped(fast, "colour in costs") > 0);
+  CHECK(psnr(exact.colour, fast.colour) > 30);
 }
