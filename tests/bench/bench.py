@@ -248,14 +248,14 @@ def write_table(bench, rows, path):
     limits = bench.limits
     lines = [f"{bench.machine}: {limits['multiply_adds_per_s'] * 1e-9:.0f} G multiply-adds/s, "
              f"{limits['bytes_per_s'] * 1e-9:.0f} GB/s, {(limits['texels_per_s'] or 0) * 1e-9:.1f} G texels/s.", "",
-             "| scene | method | on | N | M | ms | PSNR dB | times the peer | evaluated | peak MB | reached |",
-             "|---|---|---|---|---|---|---|---|---|---|---|"]
+             "| scene | method | on | N | M | views | ms | PSNR dB | times the peer | evaluated | peak MB | reached |",
+             "|---|---|---|---|---|---|---|---|---|---|---|---|"]
     for row in rows:
         of = f'{100 * row["limit_fraction"]:.0f} % of {row["limit"]}' if row.get("limit_fraction") else ""
         faster = f'{row["times_faster"]:.1f}' if "times_faster" in row else ""
         peak = f'{row["peak_mb"]:.0f}' if row.get("peak_mb") else ""
         lines.append(f'| {row["scene"]} | {row["method"]} | {row["backend"]} | {row["planes"]} | {row["window"]} | '
-                     f'{row["ms_median"]:.1f} | {row["psnr_db"]:.2f} | {faster} | '
+                     f'{row["views"]} | {row["ms_median"]:.1f} | {row["psnr_db"]:.2f} | {faster} | '
                      f'{row.get("evaluated_fraction", 1):.3f} | {peak} | {of} |')
     path.write_text("\n".join(lines) + "\n")
 
