@@ -27,6 +27,12 @@ constexpr double kSlack = 2e-3;
 constexpr double kNegligibleLog = -12;
 /// Texture: corners looked for, and how many must be found to trust their pose.
 constexpr int kMostCorners = 60, kLeastCorners = 6;
+/// Keypoint poses drawn for each particle that starts from one: minimal sets often hold a wrong match.
+constexpr int kHypothesesPerParticle = 3;
+/// A frame's keypoints are drawn from again where the pose that comes out is no good.
+constexpr int kStarts = 3;
+/// Cosine between viewing directions up to which a taught view must look like the frame (25 degrees).
+constexpr double kComparable = 0.906;
 /// Frames after a loss during which the old states are kept among the particles.
 constexpr int kKeptFrames = 15;
 
@@ -142,10 +148,11 @@ struct Tracker::State {
 
   /// Particles from keypoint matches, drawn by their weights (equation 6); false without enough matches.
   bool particles_from_keypoints(const Grey& frame, int count, std::vector<Particle>& out) {
+    if (matches_frame != frame_number) matches = matcher.match(frame);
+    matches_frame = frame_number;
     HypothesisOptions wanted;
-    wanted.count = count;
-    const std::vector<Hypothesis> drawn =
-        draw_hypotheses(matcher.match(frame), lens, options.seed * 1000003 + frame_number, wanted);
+    wanted.count = kHypothesesPerParticle * count;
+    const std::vector<Hypothesis> drawn = draw_hypotheses(matches, lens, random(), wanted);
     if (drawn.empty()) return false;
     std::vector<Particle> candidates;
     for (const Hypothesis& h : drawn) {
@@ -261,7 +268,9 @@ struct Tracker::State {
     if (view == nullptr || !(pose.t.z() > 1)) return {};
     const WarpedView warped = warp_view(*view, model, lens, rays, pose, kSlack);
     if (warped.picture.empty()) return {};
-    if (correlated != nullptr) *correlated = correlation(warped, frame);
+    // From far beside the taught view light and hidden detail change too much to judge by.
+    const double cosine = view->cam_from_object.centre().normalized().dot(pose.centre().normalized());
+    if (correlated != nullptr && cosine > kComparable) *correlated = correlation(warped, frame);
     return follow_texture(warped, frame, rays, pose, kMostCorners);
   }
 
@@ -290,7 +299,8 @@ struct Tracker::State {
     for (const double range : {6.0, 3.0, 3.0}) {
       std::vector<EdgeSample> samples = sample_edges(model, lens, pose, options.spacing_px / 2, kSlack);
       match_edges(gradient, range, options.least_cosine, samples);
-      if (options.texture) points = texture_matches(frame, pose, &out.correlation);
+      // Matches stay true as the pose moves on: they are places in the picture and on the object.
+      if (options.texture && range < 6 && points.empty()) points = texture_matches(frame, pose, &out.correlation);
       how.c_px = range / 2;
       r = refine(samples, points, lens, pose, how);
       pose = r.cam_from_object;
@@ -315,8 +325,11 @@ struct Tracker::State {
   }
 
   bool is_lost(const TrackedFrame& f) const {
-    if (f.edges.visible < 6) return true;
-    return f.edges.matched < options.lost_part * f.edges.visible;
+    // A start has to be surer of itself than a pose that follows from the one before.
+    const double doubt = f.initialised ? 0.5 : 0;
+    const double least_part = options.lost_part + 0.2 * doubt;
+    if (f.edges.visible < 6 || f.edges.matched < least_part * f.edges.visible) return true;
+    return f.correlation < options.lost_correlation * (1 + doubt);  // not known: NaN, not lost
   }
 
   // --- one frame -------------------------------------------------------------------------------------------
@@ -399,7 +412,16 @@ struct Tracker::State {
       const StageClock clock(out.seconds.gradient);
       gradient = gradient_of(frame, 1.0, options.contrast);
     }
-    if (options.filter ? !predict(frame, out) : !predict_alone(frame, out)) return out;
+    for (int start = 0; start < kStarts; ++start) {
+      if (options.filter ? !predict(frame, out) : !predict_alone(gradient, frame, out)) return out;
+      estimate_pose(gradient, frame, out);
+      if (!out.lost || !out.initialised) break;
+    }
+    frames_lost = lost ? frames_lost + 1 : 0;
+    return out;
+  }
+
+  void estimate_pose(const GradientPicture& gradient, const Grey& frame, TrackedFrame& out) {
     if (options.filter) {
       const StageClock clock(out.seconds.filter);
       run_filter(gradient, frame, out);
@@ -414,15 +436,12 @@ struct Tracker::State {
     out.covariance = norm.covariance_back(covariance_of(r));
     out.cam_from_object = norm.back(estimate);
     lost = out.lost = is_lost(out);
-    frames_lost = lost ? frames_lost + 1 : 0;
-    return out;
   }
 
   /// Without the filter: IRLS from the last pose, the method that the paper compares with.
-  bool predict_alone(const Grey& frame, TrackedFrame& out) {
+  bool predict_alone(const GradientPicture& gradient, const Grey& frame, TrackedFrame& out) {
     if (known && !lost) {
       Measured m;
-      GradientPicture gradient = gradient_of(frame, 1.0, options.contrast);
       measure(gradient, estimate, options.search_px, m);
       refine_one(gradient, estimate, m);
       estimate_now = m.refined;
@@ -450,6 +469,8 @@ struct Tracker::State {
   std::mt19937_64 random;
   std::vector<Particle> particles;
   std::vector<Pose> before;
+  std::vector<PointMatch> matches;
+  std::uint64_t matches_frame = 0;
   Pose estimate, estimate_now;
   Twist drift = Twist::Zero();
   bool known = false, lost = false;

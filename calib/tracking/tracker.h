@@ -31,6 +31,7 @@ struct TrackerOptions {
   double effective_part = 0.05;  ///< N_thres of equation 13 as part of the particles
   double lost_part = 0.6;      ///< of the samples matched within lost_px: below it the object is lost
   double lost_px = 3;
+  double lost_correlation = 0.3;  ///< with the keyframe's texture: below it the object is lost
 };
 
 /// Time spent in each stage of one frame [s].
