@@ -22,6 +22,7 @@ int main(int argc, char** argv) {
   add_plan_command(app, action);
   add_render_command(app, action);
   add_bench_command(app, action);
+  add_track_command(app, action);
   app.failure_message(
       [](const CLI::App*, const CLI::Error& e) { return fmt::format("stuv: {}; see --help\n", e.what()); });
   try {

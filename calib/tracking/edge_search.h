@@ -31,7 +31,7 @@ struct EdgeHypotheses {
 /// Searches p + s n, |s| <= range_px, for local maxima of |G . n| above the threshold whose gradient
 /// direction is within acos(least_cosine) of the normal; sub-pixel by a parabola. n has unit length. Outside
 /// the picture the gradient is 0.
-EdgeHypotheses search_edges(const GradientPicture& picture, const Eigen::Vector2d& p, const Eigen::Vector2d& n,
-                            double range_px, double least_cosine);
+EdgeHypotheses search_edges(const GradientPicture& picture, const Eigen::Vector2d& p,
+                            const Eigen::Vector2d& n, double range_px, double least_cosine);
 
 }  // namespace stuv::tracking

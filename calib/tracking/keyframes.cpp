@@ -45,7 +45,8 @@ Found find_keypoints(const Grey& picture) {
 }
 
 /// Depth along a ray of the camera's frame (z = 1) to the nearest triangle; Inf if it meets none.
-double nearest_depth(const ObjectModel& model, const std::vector<Eigen::Vector3d>& cam, const Eigen::Vector3d& ray) {
+double nearest_depth(const ObjectModel& model, const std::vector<Eigen::Vector3d>& cam,
+                     const Eigen::Vector3d& ray) {
   double nearest = std::numeric_limits<double>::infinity();
   for (const auto& [i, j, k] : model.triangles) {
     Eigen::Matrix3d A;
@@ -58,14 +59,17 @@ double nearest_depth(const ObjectModel& model, const std::vector<Eigen::Vector3d
   return nearest;
 }
 
-Json pair_json(const Eigen::Vector2d& q, const Eigen::Vector3d& x) { return {q.x(), q.y(), x.x(), x.y(), x.z()}; }
+Json pair_json(const Eigen::Vector2d& q, const Eigen::Vector3d& x) {
+  return {q.x(), q.y(), x.x(), x.y(), x.z()};
+}
 
 Image as_image(const Raster<std::uint8_t>& pixels) {
   Image image;
   image.width = pixels.width;
   image.height = pixels.height;
   image.bytes.resize(pixels.data.size());
-  std::transform(pixels.data.begin(), pixels.data.end(), image.bytes.begin(), [](std::uint8_t v) { return std::byte{v}; });
+  std::transform(pixels.data.begin(), pixels.data.end(), image.bytes.begin(),
+                 [](std::uint8_t v) { return std::byte{v}; });
   return image;
 }
 
@@ -74,7 +78,8 @@ Raster<std::uint8_t> read_bytes(const std::filesystem::path& file) {
   if (image.channels != 1 || image.type != PixelType::u8)
     throw Error(file.string(), "is not an 8-bit picture of one channel", "teach the keyframes again");
   Raster<std::uint8_t> pixels(image.width, image.height, 1);
-  std::transform(image.bytes.begin(), image.bytes.end(), pixels.data.begin(), [](std::byte b) { return static_cast<std::uint8_t>(b); });
+  std::transform(image.bytes.begin(), image.bytes.end(), pixels.data.begin(),
+                 [](std::byte b) { return static_cast<std::uint8_t>(b); });
   return pixels;
 }
 
@@ -87,11 +92,12 @@ Keyframe read_keyframe(const std::filesystem::path& folder, const Json& json) {
     keyframe.pixels.emplace_back(k.at(0).get<double>(), k.at(1).get<double>());
     keyframe.points.emplace_back(k.at(2).get<double>(), k.at(3).get<double>(), k.at(4).get<double>());
   }
-  if (!keyframe.points.empty()) keyframe.descriptors = read_bytes(folder / (keyframe.name + ".descriptors.png"));
+  if (!keyframe.points.empty())
+    keyframe.descriptors = read_bytes(folder / (keyframe.name + ".descriptors.png"));
   if (keyframe.descriptors.height != static_cast<int>(keyframe.points.size()) ||
       (!keyframe.points.empty() && keyframe.descriptors.width != kDescriptorSize))
-    throw Error((folder / (keyframe.name + ".descriptors.png")).string(), "does not hold a row for each keypoint",
-                "teach the keyframes again");
+    throw Error((folder / (keyframe.name + ".descriptors.png")).string(),
+                "does not hold a row for each keypoint", "teach the keyframes again");
   return keyframe;
 }
 
@@ -99,7 +105,8 @@ Keyframe read_keyframe(const std::filesystem::path& folder, const Json& json) {
 bool epnp(const std::vector<cv::Point3d>& points, const std::vector<cv::Point2d>& rays, Pose& pose) {
   cv::Mat r, t, R;
   try {
-    if (!cv::solvePnP(points, rays, cv::Matx33d::eye(), cv::noArray(), r, t, false, cv::SOLVEPNP_EPNP)) return false;
+    if (!cv::solvePnP(points, rays, cv::Matx33d::eye(), cv::noArray(), r, t, false, cv::SOLVEPNP_EPNP))
+      return false;
     cv::Rodrigues(r, R);
   } catch (const cv::Exception&) {  // a degenerate set
     return false;
@@ -113,8 +120,8 @@ bool epnp(const std::vector<cv::Point3d>& points, const std::vector<cv::Point2d>
 
 }  // namespace
 
-Keyframe teach_keyframe(const std::string& name, const Grey& picture, const ObjectModel& model, const Camera& camera,
-                        const Pose& cam_from_object) {
+Keyframe teach_keyframe(const std::string& name, const Grey& picture, const ObjectModel& model,
+                        const Camera& camera, const Pose& cam_from_object) {
   Keyframe keyframe{name, cam_from_object, picture, {}, {}, {}};
   const Found found = find_keypoints(picture);
   std::vector<Eigen::Vector3d> cam;
@@ -140,7 +147,8 @@ void write_keyframes(const std::filesystem::path& folder, const std::vector<Keyf
   for (const Keyframe& k : keyframes) {
     Json points = Json::array();
     for (std::size_t i = 0; i < k.points.size(); ++i) points.push_back(pair_json(k.pixels[i], k.points[i]));
-    list.push_back({{"name", k.name}, {"cam_from_object", to_json(k.cam_from_object)}, {"keypoints", points}});
+    list.push_back(
+        {{"name", k.name}, {"cam_from_object", to_json(k.cam_from_object)}, {"keypoints", points}});
     write_image(folder / (k.name + ".png"), as_image(k.picture));
     if (!k.points.empty()) write_image(folder / (k.name + ".descriptors.png"), as_image(k.descriptors));
   }
@@ -170,7 +178,8 @@ KeypointMatcher::KeypointMatcher(const std::vector<Keyframe>& keyframes) {
     if (k.points.size() < 2) continue;
     Index index;
     index.points = k.points;
-    cv::Mat(k.descriptors.height, k.descriptors.width, CV_8U, const_cast<std::uint8_t*>(k.descriptors.data.data()))
+    cv::Mat(k.descriptors.height, k.descriptors.width, CV_8U,
+            const_cast<std::uint8_t*>(k.descriptors.data.data()))
         .convertTo(index.descriptors, CV_32F);
     indices_.push_back(std::move(index));
   }
@@ -216,8 +225,8 @@ std::vector<PointMatch> KeypointMatcher::match(const Grey& frame, double ratio) 
   return matches;
 }
 
-std::vector<Hypothesis> draw_hypotheses(const std::vector<PointMatch>& matches, const Lens& lens, std::uint64_t seed,
-                                        const HypothesisOptions& options) {
+std::vector<Hypothesis> draw_hypotheses(const std::vector<PointMatch>& matches, const Lens& lens,
+                                        std::uint64_t seed, const HypothesisOptions& options) {
   if (static_cast<int>(matches.size()) < options.least_matches) return {};
   std::vector<Eigen::Vector2d> pixels;
   for (const PointMatch& m : matches) pixels.push_back(m.q);
@@ -225,7 +234,8 @@ std::vector<Hypothesis> draw_hypotheses(const std::vector<PointMatch>& matches, 
   std::vector<int> order(matches.size());
   std::mt19937_64 random(seed);
   std::vector<Hypothesis> hypotheses;
-  for (int tries = 0; tries < 10 * options.count && static_cast<int>(hypotheses.size()) < options.count; ++tries) {
+  for (int tries = 0; tries < 10 * options.count && static_cast<int>(hypotheses.size()) < options.count;
+       ++tries) {
     for (std::size_t i = 0; i < order.size(); ++i) order[i] = static_cast<int>(i);
     std::vector<cv::Point3d> points;
     std::vector<cv::Point2d> directions;
@@ -233,7 +243,8 @@ std::vector<Hypothesis> draw_hypotheses(const std::vector<PointMatch>& matches, 
       std::swap(order[k], order[k + static_cast<int>(random() % (order.size() - k))]);
       const PointMatch& m = matches[order[k]];
       points.emplace_back(m.x.x(), m.x.y(), m.x.z());
-      directions.emplace_back(rays[order[k]].x() / rays[order[k]].z(), rays[order[k]].y() / rays[order[k]].z());
+      directions.emplace_back(rays[order[k]].x() / rays[order[k]].z(),
+                              rays[order[k]].y() / rays[order[k]].z());
     }
     Hypothesis h;
     if (!epnp(points, directions, h.cam_from_object)) continue;

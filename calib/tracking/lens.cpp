@@ -35,7 +35,8 @@ Lens::Lens(const Camera& camera) : camera_(camera), width_(camera.width), height
   most_tan2_ = pinhole_ ? std::numeric_limits<double>::infinity() : widest_tan2(camera) * 16 / 9;
 }
 
-bool Lens::project(const Eigen::Vector3d& x, Eigen::Vector2d& q, Eigen::Matrix<double, 2, 3>* derivative) const {
+bool Lens::project(const Eigen::Vector3d& x, Eigen::Vector2d& q,
+                   Eigen::Matrix<double, 2, 3>* derivative) const {
   if (!(x.z() > 0) || !(x.head<2>().squaredNorm() <= most_tan2_ * x.z() * x.z())) return false;
   if (pinhole_) {
     const double fx = camera_.intrinsics[0] / x.z(), fy = camera_.intrinsics[1] / x.z();

@@ -15,7 +15,8 @@ class Lens {
   /// A point in the camera's frame to its pixel and d pixel / d point. False, and nothing written, unless the
   /// point is in front of the camera and within a third beyond the field of view, where distortion
   /// polynomials still mean something.
-  bool project(const Eigen::Vector3d& x, Eigen::Vector2d& q, Eigen::Matrix<double, 2, 3>* derivative = nullptr) const;
+  bool project(const Eigen::Vector3d& x, Eigen::Vector2d& q,
+               Eigen::Matrix<double, 2, 3>* derivative = nullptr) const;
 
   bool inside(const Eigen::Vector2d& q, double margin_px = 0) const {
     return q.x() >= margin_px && q.y() >= margin_px && q.x() <= width_ - 1 - margin_px &&

@@ -60,15 +60,16 @@ double robust_deviation(const std::vector<Residual>& residuals) {
 }
 
 double weight_of(double e, double deviation, const RefineOptions& options) {
-  if (options.weights == RefineOptions::Weights::reciprocal) return options.c_px / (options.c_px + std::abs(e));
+  if (options.weights == RefineOptions::Weights::reciprocal)
+    return options.c_px / (options.c_px + std::abs(e));
   const double u = e / std::max(options.c_px, 4.685 * deviation);
   return std::abs(u) < 1 ? (1 - u * u) * (1 - u * u) : 0;
 }
 
 }  // namespace
 
-std::vector<EdgeSample> sample_edges(const ObjectModel& model, const Lens& lens, const Pose& pose, double spacing_px,
-                                     double slack) {
+std::vector<EdgeSample> sample_edges(const ObjectModel& model, const Lens& lens, const Pose& pose,
+                                     double spacing_px, double slack) {
   std::vector<EdgeSample> samples;
   for (const VisibleSegment& segment : visible_edges(model, pose, slack)) {
     const ObjectModel::Edge& edge = model.edges[segment.edge];
@@ -118,8 +119,8 @@ double log_likelihood(const MatchSummary& m, double range_px, const LikelihoodOp
   return -options.lambda_v * missing - options.lambda_e * (m.matched > 0 ? m.mean_distance_px : range_px);
 }
 
-Refined refine(const std::vector<EdgeSample>& samples, const std::vector<PointMatch>& points, const Lens& lens,
-               const Pose& cam_from_object, const RefineOptions& options) {
+Refined refine(const std::vector<EdgeSample>& samples, const std::vector<PointMatch>& points,
+               const Lens& lens, const Pose& cam_from_object, const RefineOptions& options) {
   Refined out;
   out.cam_from_object = cam_from_object;
   std::vector<Residual> residuals;

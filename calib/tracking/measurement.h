@@ -21,7 +21,8 @@ std::vector<EdgeSample> sample_edges(const ObjectModel& model, const Lens& lens,
                                      double spacing_px, double slack);
 
 /// Fills `found` of every sample: see search_edges.
-void match_edges(const GradientPicture& picture, double range_px, double least_cosine, std::vector<EdgeSample>& samples);
+void match_edges(const GradientPicture& picture, double range_px, double least_cosine,
+                 std::vector<EdgeSample>& samples);
 
 struct LikelihoodOptions {
   double lambda_v = 25;  ///< on the part of the visible samples without a match
@@ -69,7 +70,7 @@ struct Refined {
 /// every step; for point matches, both components. Directions that the data leave free are not moved (a
 /// damping of 1e-6 of the largest diagonal element). Units of the twist: those of the pose. With fewer than 3
 /// residuals the pose is returned as it was.
-Refined refine(const std::vector<EdgeSample>& samples, const std::vector<PointMatch>& points, const Lens& lens,
-               const Pose& cam_from_object, const RefineOptions& options);
+Refined refine(const std::vector<EdgeSample>& samples, const std::vector<PointMatch>& points,
+               const Lens& lens, const Pose& cam_from_object, const RefineOptions& options);
 
 }  // namespace stuv::tracking

@@ -41,7 +41,8 @@ class ObjReader {
 
  private:
   [[noreturn]] void fail(const std::string& problem) const {
-    throw Error(fmt::format("{}:{}", file_, line_), problem, "export the model as a Wavefront OBJ in metres again");
+    throw Error(fmt::format("{}:{}", file_, line_), problem,
+                "export the model as a Wavefront OBJ in metres again");
   }
 
   Eigen::Vector3d vertex(std::istringstream& words) const {
@@ -67,7 +68,8 @@ class ObjReader {
       if (error != std::errc() || (end != word.data() + word.size() && *end != '/'))
         fail("has a damaged vertex number");
       index = index < 0 ? count + index : index - 1;
-      if (index < 0 || index >= count) fail(fmt::format("names a vertex that is not among the {} before", count));
+      if (index < 0 || index >= count)
+        fail(fmt::format("names a vertex that is not among the {} before", count));
       polygon.push_back(index);
     }
     if (polygon.size() < least) fail(fmt::format("has fewer than {} vertices", least));
@@ -92,7 +94,8 @@ void merge_vertices(ObjText& obj) {
     for (Polygon& polygon : *polygons) {
       for (int& v : polygon) v = to[v];
       polygon.erase(std::unique(polygon.begin(), polygon.end()), polygon.end());
-      if (polygons == &obj.faces && polygon.size() > 1 && polygon.front() == polygon.back()) polygon.pop_back();
+      if (polygons == &obj.faces && polygon.size() > 1 && polygon.front() == polygon.back())
+        polygon.pop_back();
     }
 }
 
@@ -100,7 +103,8 @@ void merge_vertices(ObjText& obj) {
 Eigen::Vector3d area_normal(const Polygon& face, const std::vector<Eigen::Vector3d>& vertices) {
   Eigen::Vector3d n = Eigen::Vector3d::Zero();
   for (std::size_t i = 0; i < face.size(); ++i)
-    n += (vertices[face[i]] - vertices[face[0]]).cross(vertices[face[(i + 1) % face.size()]] - vertices[face[0]]);
+    n += (vertices[face[i]] - vertices[face[0]])
+             .cross(vertices[face[(i + 1) % face.size()]] - vertices[face[0]]);
   return n;
 }
 
@@ -170,8 +174,8 @@ EdgeFaces edges_of(const std::vector<Polygon>& faces) {
 
 /// The angle between two faces that meet in an edge; which way round a face is given does not matter where
 /// both run along the edge in the same direction.
-bool is_crease(const ObjectModel& model, const std::vector<Polygon>& polygons, std::pair<int, int> edge, int f, int g,
-               double crease_rad) {
+bool is_crease(const ObjectModel& model, const std::vector<Polygon>& polygons, std::pair<int, int> edge,
+               int f, int g, double crease_rad) {
   const auto forwards = [&](const Polygon& p) {
     for (std::size_t i = 0; i < p.size(); ++i)
       if (p[i] == edge.first && p[(i + 1) % p.size()] == edge.second) return true;
@@ -189,10 +193,9 @@ void add_edges(const ObjText& obj, const std::vector<Polygon>& polygons, const M
     for (std::size_t i = 0; i + 1 < line.size(); ++i) given[std::minmax(line[i], line[i + 1])] = true;
   for (const auto& [ends, faces] : found) {
     ObjectModel::Edge edge{ends.first, ends.second, {faces[0], faces.size() > 1 ? faces[1] : -1}, false};
-    edge.sharp = given.empty()
-                     ? faces.size() != 2 ||
-                           is_crease(model, polygons, ends, faces[0], faces[1], options.crease_rad)
-                     : given.count(ends) > 0;
+    edge.sharp = given.empty() ? faces.size() != 2 ||
+                                     is_crease(model, polygons, ends, faces[0], faces[1], options.crease_rad)
+                               : given.count(ends) > 0;
     given.erase(ends);
     const bool bends = faces.size() == 2 &&
                        std::abs(model.face_normals[faces[0]].dot(model.face_normals[faces[1]])) < 1 - 1e-9;

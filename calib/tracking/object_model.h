@@ -10,9 +10,9 @@ namespace stuv::tracking {
 /// A known object: opaque faces and the edges that may show in a picture. Its own frame, metres.
 struct ObjectModel {
   struct Edge {
-    int a = 0, b = 0;                    ///< vertices
+    int a = 0, b = 0;                     ///< vertices
     std::array<int, 2> faces = {-1, -1};  ///< that meet here, -1: none
-    bool sharp = false;                  ///< drawn from everywhere; else only where it is the outline
+    bool sharp = false;                   ///< drawn from everywhere; else only where it is the outline
   };
   std::vector<Eigen::Vector3d> vertices;
   std::vector<std::array<int, 3>> triangles;

@@ -10,7 +10,8 @@ std::vector<double> normalised_weights(const std::vector<Particle>& particles) {
   double most = -std::numeric_limits<double>::infinity();
   for (const Particle& p : particles)
     if (std::isfinite(p.log_weight)) most = std::max(most, p.log_weight);
-  std::vector<double> weights(particles.size(), particles.empty() ? 0.0 : 1.0 / static_cast<double>(particles.size()));
+  std::vector<double> weights(particles.size(),
+                              particles.empty() ? 0.0 : 1.0 / static_cast<double>(particles.size()));
   if (!std::isfinite(most)) return weights;
   double sum = 0;
   for (std::size_t i = 0; i < particles.size(); ++i) {
@@ -28,8 +29,8 @@ double effective_number(const std::vector<double>& weights) {
   return sum_sq > 0 ? 1 / sum_sq : 0;
 }
 
-std::vector<Particle> resample(const std::vector<Particle>& particles, const std::vector<double>& weights, int count,
-                               double offset) {
+std::vector<Particle> resample(const std::vector<Particle>& particles, const std::vector<double>& weights,
+                               int count, double offset) {
   std::vector<Particle> drawn;
   drawn.reserve(count);
   std::size_t i = 0;

@@ -22,8 +22,8 @@ double effective_number(const std::vector<double>& weights);
 
 /// Systematic resampling to `count` particles: particle i is drawn count w_i times, rounded up or down by one
 /// number `offset` in [0, 1). Weights become equal, velocities go with the poses.
-std::vector<Particle> resample(const std::vector<Particle>& particles, const std::vector<double>& weights, int count,
-                               double offset);
+std::vector<Particle> resample(const std::vector<Particle>& particles, const std::vector<double>& weights,
+                               int count, double offset);
 
 /// Equations 1 and 3, first-order Euler on the group: X_t = X_{t-1} exp(A_{t-1} + noise).
 inline Pose propagate(const Particle& particle, const Twist& noise) {
@@ -31,7 +31,9 @@ inline Pose propagate(const Particle& particle, const Twist& noise) {
 }
 
 /// Equation 4: A_t = a log(X_{t-1}^-1 X_t).
-inline Twist velocity(double a, const Pose& before, const Pose& now) { return a * log(before.inverse() * now); }
+inline Twist velocity(double a, const Pose& before, const Pose& now) {
+  return a * log(before.inverse() * now);
+}
 
 /// How many particles a distribution that fills `bins` cells needs for the Kullback-Leibler distance to its
 /// sample to stay below 0.05 with probability 0.99 (Fox, IJRR 2003). 1 bin: 1.

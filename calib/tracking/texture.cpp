@@ -59,7 +59,8 @@ float bilinear(const Grey& picture, float x, float y) {
 }
 
 float depth_at(const DepthPatch& patch, const Eigen::Vector2d& q) {
-  const int x = static_cast<int>(std::lround(q.x())) - patch.x0, y = static_cast<int>(std::lround(q.y())) - patch.y0;
+  const int x = static_cast<int>(std::lround(q.x())) - patch.x0,
+            y = static_cast<int>(std::lround(q.y())) - patch.y0;
   if (x < 0 || y < 0 || x >= patch.depth.width || y >= patch.depth.height) return kInf;
   return patch.depth.at(x, y);
 }
@@ -84,7 +85,8 @@ ImageF rays_of(const Camera& camera) {
   return rays;
 }
 
-DepthPatch render_depth(const ObjectModel& model, const Lens& lens, const ImageF& rays, const Pose& pose, double slack) {
+DepthPatch render_depth(const ObjectModel& model, const Lens& lens, const ImageF& rays, const Pose& pose,
+                        double slack) {
   struct Part {
     std::array<Eigen::Vector3d, 3> corners;
     Eigen::AlignedBox2i box;
@@ -93,7 +95,8 @@ DepthPatch render_depth(const ObjectModel& model, const Lens& lens, const ImageF
   Eigen::AlignedBox2i whole;
   for (const auto& [i, j, k] : model.triangles) {
     Part part{{pose * model.vertices[i], pose * model.vertices[j], pose * model.vertices[k]}, {}};
-    if (std::any_of(part.corners.begin(), part.corners.end(), [&](const auto& c) { return c.z() < slack; })) continue;
+    if (std::any_of(part.corners.begin(), part.corners.end(), [&](const auto& c) { return c.z() < slack; }))
+      continue;
     part.box = pixels_of(part.corners, lens);
     if (part.box.isEmpty()) continue;
     whole.extend(part.box);
@@ -126,8 +129,8 @@ WarpedView warp_view(const TexturedView& view, const ObjectModel& model, const L
       if (!lens.project(there, q) || !lens.inside(q, 1)) continue;
       // A pixel of the taught view that lies nearer hides this point; 2 % allow for slanted faces.
       if (!(there.z() < 1.02 * depth_at(view.depth, q))) continue;
-      out.picture.at(x, y) =
-          static_cast<std::uint8_t>(std::lround(bilinear(view.picture, static_cast<float>(q.x()), static_cast<float>(q.y()))));
+      out.picture.at(x, y) = static_cast<std::uint8_t>(
+          std::lround(bilinear(view.picture, static_cast<float>(q.x()), static_cast<float>(q.y()))));
       out.seen.at(x, y) = 255;
     }
   return out;
@@ -140,7 +143,8 @@ std::vector<PointMatch> follow_texture(const WarpedView& warped, const Grey& fra
   if (width < 2 * window || height < 2 * window) return {};
   // Corners whose surroundings the taught view saw.
   cv::Mat inner;
-  cv::erode(mat_of(warped.seen), inner, cv::Mat::ones(5, 5, CV_8U), {-1, -1}, 1, cv::BORDER_CONSTANT, cv::Scalar(0));
+  cv::erode(mat_of(warped.seen), inner, cv::Mat::ones(5, 5, CV_8U), {-1, -1}, 1, cv::BORDER_CONSTANT,
+            cv::Scalar(0));
   std::vector<cv::Point2f> corners;
   cv::goodFeaturesToTrack(mat_of(warped.picture), corners, most_points, 0.02, 5, inner, 5);
   if (corners.empty()) return {};
@@ -148,7 +152,8 @@ std::vector<PointMatch> follow_texture(const WarpedView& warped, const Grey& fra
   cv::Mat put = mat_of(frame).clone();
   const cv::Rect box(warped.depth.x0, warped.depth.y0, width, height);
   mat_of(warped.picture).copyTo(put(box), mat_of(warped.seen));
-  const cv::Rect wide = (box + cv::Size(2 * border, 2 * border) - cv::Point(border, border)) & cv::Rect(0, 0, frame.width, frame.height);
+  const cv::Rect wide = (box + cv::Size(2 * border, 2 * border) - cv::Point(border, border)) &
+                        cv::Rect(0, 0, frame.width, frame.height);
   const cv::Mat from = put(wide).clone(), to = mat_of(frame)(wide).clone();
   const cv::Point2f shift(static_cast<float>(box.x - wide.x), static_cast<float>(box.y - wide.y));
   for (cv::Point2f& c : corners) c += shift;
@@ -179,7 +184,8 @@ std::vector<PointMatch> follow_texture(const WarpedView& warped, const Grey& fra
         inverse += w / warped.depth.depth.at(ix + dx, iy + dy);
       }
     if (!(inverse > 0)) continue;
-    matches.push_back({object_from_cam * (ray / inverse), Eigen::Vector2d(double(there[i].x) + wide.x, double(there[i].y) + wide.y), 1});
+    matches.push_back({object_from_cam * (ray / inverse),
+                       Eigen::Vector2d(double(there[i].x) + wide.x, double(there[i].y) + wide.y), 1});
   }
   return matches;
 }

@@ -19,8 +19,8 @@ struct DepthPatch {
 
 /// Every triangle is intersected with the pixels' rays, so the lens does not matter. Triangles that reach
 /// nearer than `slack` to the camera are left out.
-DepthPatch render_depth(const ObjectModel& model, const Lens& lens, const ImageF& rays, const Pose& cam_from_object,
-                        double slack);
+DepthPatch render_depth(const ObjectModel& model, const Lens& lens, const ImageF& rays,
+                        const Pose& cam_from_object, double slack);
 
 /// A picture of the object taken at a known pose: what the object looks like.
 struct TexturedView {

@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <tbb/task_arena.h>
 #include <algorithm>
 #include <chrono>
 #include <cmath>
@@ -10,7 +11,6 @@
 #include <optional>
 #include <random>
 #include <set>
-#include <tbb/task_arena.h>
 
 #include "calib/tracking/texture.h"
 #include "core/error.h"
@@ -105,7 +105,8 @@ struct Measured {
 }  // namespace
 
 struct Tracker::State {
-  State(const ObjectModel& object, const Camera& camera, const std::vector<Keyframe>& taught, const TrackerOptions& o)
+  State(const ObjectModel& object, const Camera& camera, const std::vector<Keyframe>& taught,
+        const TrackerOptions& o)
       : options(o),
         norm{object.centre(), object.radius()},
         model(normalised(object, norm)),
@@ -116,7 +117,8 @@ struct Tracker::State {
     if (!options.texture || keyframes.empty()) return;
     rays = rays_of(camera);
     for (const Keyframe& k : keyframes)
-      views.push_back({k.picture, k.cam_from_object, render_depth(model, lens, rays, k.cam_from_object, kSlack)});
+      views.push_back(
+          {k.picture, k.cam_from_object, render_depth(model, lens, rays, k.cam_from_object, kSlack)});
   }
 
   std::vector<Keyframe> normalised_keyframes(std::vector<Keyframe> taught) const {
@@ -193,7 +195,8 @@ struct Tracker::State {
     std::vector<Measured> measured(particles.size());
     const int count = static_cast<int>(particles.size());
     parallel([&] {
-      parallel_for(count, [&](int i) { measure(gradient, particles[i].pose, options.search_px, measured[i]); });
+      parallel_for(count,
+                   [&](int i) { measure(gradient, particles[i].pose, options.search_px, measured[i]); });
     });
     double best = -std::numeric_limits<double>::infinity();
     for (const Measured& m : measured) best = std::max(best, m.log_weight);
@@ -225,7 +228,8 @@ struct Tracker::State {
     std::vector<Pose> poses;
     std::vector<double> w;
     for (std::size_t i = 0; i < particles.size(); ++i) {
-      if (weights[i] <= 0 || distance_px(particles[best].pose, particles[i].pose, lens.focal_px()) > 6) continue;
+      if (weights[i] <= 0 || distance_px(particles[best].pose, particles[i].pose, lens.focal_px()) > 6)
+        continue;
       poses.push_back(particles[i].pose);
       w.push_back(weights[i]);
     }
@@ -244,10 +248,12 @@ struct Tracker::State {
       Twist cam;
       cam << origin.R * d.head<3>(), origin.R * d.tail<3>();
       std::array<int, 6> bin;
-      for (int k = 0; k < 6; ++k) bin[k] = static_cast<int>(std::lround(std::clamp(cam[k] / cell[k], -1e6, 1e6)));
+      for (int k = 0; k < 6; ++k)
+        bin[k] = static_cast<int>(std::lround(std::clamp(cam[k] / cell[k], -1e6, 1e6)));
       bins.insert(bin);
     }
-    return static_cast<int>(std::clamp(particles_for(static_cast<int>(bins.size())), options.particles / 4.0, double(options.particles)));
+    return static_cast<int>(std::clamp(particles_for(static_cast<int>(bins.size())), options.particles / 4.0,
+                                       double(options.particles)));
   }
 
   // --- texture -------------------------------------------------------------------------------------------
@@ -263,7 +269,8 @@ struct Tracker::State {
     return best;
   }
 
-  std::vector<PointMatch> texture_matches(const Grey& frame, const Pose& pose, double* correlated = nullptr) const {
+  std::vector<PointMatch> texture_matches(const Grey& frame, const Pose& pose,
+                                          double* correlated = nullptr) const {
     const TexturedView* view = nearest_view(pose);
     if (view == nullptr || !(pose.t.z() > 1)) return {};
     const WarpedView warped = warp_view(*view, model, lens, rays, pose, kSlack);
@@ -300,7 +307,8 @@ struct Tracker::State {
       std::vector<EdgeSample> samples = sample_edges(model, lens, pose, options.spacing_px / 2, kSlack);
       match_edges(gradient, range, options.least_cosine, samples);
       // Matches stay true as the pose moves on: they are places in the picture and on the object.
-      if (options.texture && range < 6 && points.empty()) points = texture_matches(frame, pose, &out.correlation);
+      if (options.texture && range < 6 && points.empty())
+        points = texture_matches(frame, pose, &out.correlation);
       how.c_px = range / 2;
       r = refine(samples, points, lens, pose, how);
       pose = r.cam_from_object;
@@ -352,7 +360,8 @@ struct Tracker::State {
       move_particles();
       if (!found) return true;
       // Half of each.
-      std::vector<Particle> both(fresh.begin(), fresh.begin() + static_cast<std::ptrdiff_t>(fresh.size() + 1) / 2);
+      std::vector<Particle> both(fresh.begin(),
+                                 fresh.begin() + static_cast<std::ptrdiff_t>(fresh.size() + 1) / 2);
       const std::size_t rest = std::min(particles.size(), fresh.size() - both.size());
       both.insert(both.end(), particles.begin(), particles.begin() + static_cast<std::ptrdiff_t>(rest));
       fresh = std::move(both);
@@ -397,7 +406,9 @@ struct Tracker::State {
     }
     estimate_now = mean_pose(weights);
     for (std::size_t i = 0; i < particles.size(); ++i)
-      particles[i].velocity = out.initialised ? Twist(Twist::Zero()) : velocity(options.autoregression, before[i], particles[i].pose);
+      particles[i].velocity = out.initialised
+                                  ? Twist(Twist::Zero())
+                                  : velocity(options.autoregression, before[i], particles[i].pose);
     const int wanted = wanted_particles(weights);
     out.particles = static_cast<int>(particles.size());
     particles = resample(particles, weights, wanted, std::uniform_real_distribution<double>()(random));
@@ -429,7 +440,8 @@ struct Tracker::State {
     const StageClock clock(out.seconds.estimate);
     const Pose last = estimate;
     const Refined r = polish(gradient, frame, estimate_now, out);
-    drift = known && !out.initialised ? velocity(options.autoregression, last, r.cam_from_object) : Twist::Zero();
+    drift =
+        known && !out.initialised ? velocity(options.autoregression, last, r.cam_from_object) : Twist::Zero();
     estimate = r.cam_from_object;
     known = out.has_pose = true;
     out.deviation_px = r.deviation_px;
@@ -448,7 +460,8 @@ struct Tracker::State {
       return true;
     }
     std::vector<Particle> fresh;
-    if (!particles_from_keypoints(frame, options.particles, fresh)) return known && (estimate_now = estimate, true);
+    if (!particles_from_keypoints(frame, options.particles, fresh))
+      return known && (estimate_now = estimate, true);
     out.initialised = true;
     std::vector<Pose> poses;
     for (const Particle& p : fresh) poses.push_back(p.pose);
@@ -496,8 +509,8 @@ void Tracker::start(const Pose& cam_from_object) {
 TrackedFrame Tracker::track(const Grey& frame) {
   if (frame.width != state_->lens.width() || frame.height != state_->lens.height())
     throw Error(state_->lens.camera().name,
-                fmt::format("is a camera of {}x{}, the frame is {}x{}", state_->lens.width(), state_->lens.height(),
-                            frame.width, frame.height),
+                fmt::format("is a camera of {}x{}, the frame is {}x{}", state_->lens.width(),
+                            state_->lens.height(), frame.width, frame.height),
                 "give the camera that took the frames, at their size");
   return state_->track(frame);
 }

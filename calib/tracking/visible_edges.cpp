@@ -7,7 +7,8 @@
 namespace stuv::tracking {
 namespace {
 
-/// A triangle seen from the eye at the origin: points with inside_i . x >= 0 and plane . x >= depth are hidden.
+/// A triangle seen from the eye at the origin: points with inside_i . x >= 0 and plane . x >= depth are
+/// hidden.
 struct Occluder {
   std::array<Eigen::Vector3d, 3> inside;
   Eigen::Vector3d plane;
@@ -27,7 +28,8 @@ struct Interval {
   }
 };
 
-std::vector<Occluder> occluders_of(const ObjectModel& model, const std::vector<Eigen::Vector3d>& cam, double slack) {
+std::vector<Occluder> occluders_of(const ObjectModel& model, const std::vector<Eigen::Vector3d>& cam,
+                                   double slack) {
   std::vector<Occluder> occluders;
   occluders.reserve(model.triangles.size());
   for (const auto& [i, j, k] : model.triangles) {
@@ -49,13 +51,16 @@ std::vector<Occluder> occluders_of(const ObjectModel& model, const std::vector<E
 
 bool shows(const ObjectModel& model, const ObjectModel::Edge& edge, const Eigen::Vector3d& eye) {
   if (edge.sharp) return true;
-  const auto front = [&](int face) { return model.face_normals[face].dot(eye - model.face_points[face]) > 0; };
+  const auto front = [&](int face) {
+    return model.face_normals[face].dot(eye - model.face_points[face]) > 0;
+  };
   return front(edge.faces[0]) != front(edge.faces[1]);
 }
 
 void append_visible(int edge, const Interval& whole, std::vector<Interval>& hidden, double least,
                     std::vector<VisibleSegment>& out) {
-  std::sort(hidden.begin(), hidden.end(), [](const Interval& a, const Interval& b) { return a.from < b.from; });
+  std::sort(hidden.begin(), hidden.end(),
+            [](const Interval& a, const Interval& b) { return a.from < b.from; });
   double at = whole.from;
   for (const Interval& h : hidden) {
     if (h.from > at + least) out.push_back({edge, at, std::min(h.from, whole.to)});
@@ -66,7 +71,8 @@ void append_visible(int edge, const Interval& whole, std::vector<Interval>& hidd
 
 }  // namespace
 
-std::vector<VisibleSegment> visible_edges(const ObjectModel& model, const Pose& cam_from_object, double slack) {
+std::vector<VisibleSegment> visible_edges(const ObjectModel& model, const Pose& cam_from_object,
+                                          double slack) {
   std::vector<Eigen::Vector3d> cam;
   cam.reserve(model.vertices.size());
   for (const Eigen::Vector3d& v : model.vertices) cam.push_back(cam_from_object * v);
@@ -83,8 +89,9 @@ std::vector<VisibleSegment> visible_edges(const ObjectModel& model, const Pose& 
     hidden.clear();
     for (const Occluder& o : occluders) {
       Interval h = whole;
-      if (h.clip(o.plane.dot(a) - o.depth, o.plane.dot(b) - o.depth) && h.clip(o.inside[0].dot(a), o.inside[0].dot(b)) &&
-          h.clip(o.inside[1].dot(a), o.inside[1].dot(b)) && h.clip(o.inside[2].dot(a), o.inside[2].dot(b)))
+      if (h.clip(o.plane.dot(a) - o.depth, o.plane.dot(b) - o.depth) &&
+          h.clip(o.inside[0].dot(a), o.inside[0].dot(b)) && h.clip(o.inside[1].dot(a), o.inside[1].dot(b)) &&
+          h.clip(o.inside[2].dot(a), o.inside[2].dot(b)))
         hidden.push_back(h);
     }
     append_visible(static_cast<int>(e), whole, hidden, 1e-9, out);

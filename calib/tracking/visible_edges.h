@@ -22,6 +22,7 @@ struct VisibleSegment {
 /// if it is more than `slack` farther along the plane's normal (1e-3 of the object's radius is right), so
 /// faces do not hide their own edges. Points nearer than `slack` to the plane z = 0 are cut off.
 /// Independent of the lens. Cost: edges times triangles, about 50 ns each.
-std::vector<VisibleSegment> visible_edges(const ObjectModel& model, const Pose& cam_from_object, double slack);
+std::vector<VisibleSegment> visible_edges(const ObjectModel& model, const Pose& cam_from_object,
+                                          double slack);
 
 }  // namespace stuv::tracking

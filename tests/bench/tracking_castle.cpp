@@ -1,5 +1,5 @@
-// Tracking on ../shared/data/castle against the truth: rms of |t| and of the rotation angle over the frames that are
-// neither taught nor lost, for a number of seeds.
+// Tracking on ../shared/data/castle against the truth: rms of |t| and of the rotation angle over the frames
+// that are neither taught nor lost, for a number of seeds.
 //   bench_tracking_castle DATA/castle [seeds=20] [step=1] [teach=1,14,27] [particles=100] [ar=0.5] ...
 #include <fmt/format.h>
 
@@ -93,17 +93,20 @@ int main(int argc, char** argv) {
       const double dt = (f.cam_from_object.t - true_pose.t).norm();
       const double dr = log({f.cam_from_object.R * true_pose.R.transpose(), {0, 0, 0}}).norm() * 180 / M_PI;
       if (number("verbose", 0) > 0)
-        fmt::print("{:3} {:6.2f} mm {:5.2f} deg  lost {}  init {} n_eff {:5.1f} edges {}/{} {:.2f} px  texture {} corr {:.2f} sigma "
-                   "{:.2f} px, {:.2f} mm {:.2f} deg, {:.1f} ms (g {:.1f} k {:.1f} t {:.1f} f {:.1f} e {:.1f})\n",
-                   i, 1e3 * dt, dr, f.lost, f.initialised, f.n_eff, f.edges.matched, f.edges.visible,
-                   f.edges.mean_distance_px, f.texture_points, f.correlation, f.deviation_px,
-                   1e3 * std::sqrt(f.covariance.topLeftCorner<3, 3>().trace()),
-                   180 / M_PI * std::sqrt(f.covariance.bottomRightCorner<3, 3>().trace()), 1e3 * f.seconds.total(),
-                   1e3 * f.seconds.gradient, 1e3 * f.seconds.keypoints, 1e3 * f.seconds.texture, 1e3 * f.seconds.filter,
-                   1e3 * f.seconds.estimate);
+        fmt::print(
+            "{:3} {:6.2f} mm {:5.2f} deg  lost {}  init {} n_eff {:5.1f} edges {}/{} {:.2f} px  texture {} "
+            "corr {:.2f} sigma "
+            "{:.2f} px, {:.2f} mm {:.2f} deg, {:.1f} ms (g {:.1f} k {:.1f} t {:.1f} f {:.1f} e {:.1f})\n",
+            i, 1e3 * dt, dr, f.lost, f.initialised, f.n_eff, f.edges.matched, f.edges.visible,
+            f.edges.mean_distance_px, f.texture_points, f.correlation, f.deviation_px,
+            1e3 * std::sqrt(f.covariance.topLeftCorner<3, 3>().trace()),
+            180 / M_PI * std::sqrt(f.covariance.bottomRightCorner<3, 3>().trace()), 1e3 * f.seconds.total(),
+            1e3 * f.seconds.gradient, 1e3 * f.seconds.keypoints, 1e3 * f.seconds.texture,
+            1e3 * f.seconds.filter, 1e3 * f.seconds.estimate);
       s.seconds += f.seconds.total();
       ++s.frames;
-      if (f.edges.visible > 0) s.worst_fraction = std::min(s.worst_fraction, double(f.edges.matched) / f.edges.visible);
+      if (f.edges.visible > 0)
+        s.worst_fraction = std::min(s.worst_fraction, double(f.edges.matched) / f.edges.visible);
       const bool off = !f.has_pose || dt > 0.01 || dr > 5;
       s.flagged += f.lost ? 1 : 0;
       s.unnoticed += off && !f.lost ? 1 : 0;
@@ -116,11 +119,15 @@ int main(int argc, char** argv) {
       s.r2 += dr * dr;
       ++s.count;
     }
-    fmt::print("seed {:2}: {:.3f} mm {:.3f} deg, {} lost ({} flagged, {} unnoticed), least matched {:.2f}, {:.1f} ms a frame\n", seed,
-               1e3 * std::sqrt(s.t2 / s.count), std::sqrt(s.r2 / s.count), s.lost, s.flagged, s.unnoticed, s.worst_fraction,
-               1e3 * s.seconds / s.frames);
-    all.t2 += s.t2, all.r2 += s.r2, all.count += s.count, all.lost += s.lost, all.seconds += s.seconds, all.frames += s.frames;
+    fmt::print(
+        "seed {:2}: {:.3f} mm {:.3f} deg, {} lost ({} flagged, {} unnoticed), least matched {:.2f}, {:.1f} "
+        "ms a frame\n",
+        seed, 1e3 * std::sqrt(s.t2 / s.count), std::sqrt(s.r2 / s.count), s.lost, s.flagged, s.unnoticed,
+        s.worst_fraction, 1e3 * s.seconds / s.frames);
+    all.t2 += s.t2, all.r2 += s.r2, all.count += s.count, all.lost += s.lost, all.seconds += s.seconds,
+        all.frames += s.frames;
   }
-  fmt::print("all: {:.3f} mm {:.3f} deg, {} frames lost, {:.1f} ms a frame\n", 1e3 * std::sqrt(all.t2 / all.count),
-             std::sqrt(all.r2 / all.count), all.lost, 1e3 * all.seconds / all.frames);
+  fmt::print("all: {:.3f} mm {:.3f} deg, {} frames lost, {:.1f} ms a frame\n",
+             1e3 * std::sqrt(all.t2 / all.count), std::sqrt(all.r2 / all.count), all.lost,
+             1e3 * all.seconds / all.frames);
 }
