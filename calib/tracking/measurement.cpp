@@ -11,6 +11,7 @@ constexpr int kMostSamplesPerSegment = 100;
 struct Residual {
   double e = 0, weight = 1;
   Eigen::Matrix<double, 1, 6> J;
+  bool of_point = false;
 };
 
 /// d pixel / d twist of X exp(twist) at 0, 2 x 6.
@@ -41,19 +42,22 @@ void collect(const std::vector<EdgeSample>& samples, const std::vector<PointMatc
   for (const EdgeSample& sample : samples) {
     if (sample.found.count == 0 || !lens.project(pose * sample.x, q, &by_point)) continue;
     const double e = nearest_residual(sample, q);
-    out.push_back({e, 1, sample.n.transpose() * pose_derivative(by_point, pose, sample.x)});
+    out.push_back({e, 1, sample.n.transpose() * pose_derivative(by_point, pose, sample.x), false});
   }
   for (const PointMatch& point : points) {
     if (!lens.project(pose * point.x, q, &by_point)) continue;
     const Eigen::Matrix<double, 2, 6> J = pose_derivative(by_point, pose, point.x);
-    for (int k = 0; k < 2; ++k) out.push_back({point.q[k] - q[k], point.weight, J.row(k)});
+    for (int k = 0; k < 2; ++k) out.push_back({point.q[k] - q[k], point.weight, J.row(k), true});
   }
 }
 
-double robust_deviation(const std::vector<Residual>& residuals) {
+/// 1.48 times the median of |e| of the edges' or the points' residuals; 0 without any.
+double robust_deviation(const std::vector<Residual>& residuals, bool of_points) {
   std::vector<double> e;
   e.reserve(residuals.size());
-  for (const Residual& r : residuals) e.push_back(std::abs(r.e));
+  for (const Residual& r : residuals)
+    if (r.of_point == of_points) e.push_back(std::abs(r.e));
+  if (e.empty()) return 0;
   const auto middle = e.begin() + static_cast<std::ptrdiff_t>(e.size() / 2);
   std::nth_element(e.begin(), middle, e.end());
   return 1.4826 * *middle;
@@ -128,11 +132,12 @@ Refined refine(const std::vector<EdgeSample>& samples, const std::vector<PointMa
     collect(samples, points, lens, out.cam_from_object, residuals);
     out.residuals = static_cast<int>(residuals.size());
     if (residuals.size() < 3) return out;
-    out.deviation_px = robust_deviation(residuals);
+    const double edges_px = robust_deviation(residuals, false), points_px = robust_deviation(residuals, true);
+    out.deviation_px = std::max(edges_px, points_px);
     Matrix6 JtJ = Matrix6::Zero();
     Twist Jte = Twist::Zero();
     for (const Residual& r : residuals) {
-      const double w = r.weight * weight_of(r.e, out.deviation_px, options);
+      const double w = r.weight * weight_of(r.e, r.of_point ? points_px : edges_px, options);
       JtJ.noalias() += w * r.J.transpose() * r.J;
       Jte.noalias() += w * r.e * r.J.transpose();
     }

@@ -50,7 +50,7 @@ struct PointMatch {
 struct RefineOptions {
   enum class Weights {
     reciprocal,  ///< 1 / (c + |e|), equation 10
-    tukey        ///< biweight that ends at 4.7 robust deviations, but not within c
+    tukey        ///< biweight that ends at 4.7 robust deviations (of edges, of points), but not within c
   };
   Weights weights = Weights::reciprocal;
   double c_px = 1;
@@ -60,7 +60,7 @@ struct RefineOptions {
 struct Refined {
   Pose cam_from_object;
   Matrix6 information = Matrix6::Zero();  ///< J^T W J, weights at most 1 [1/px^2]
-  double deviation_px = 0;                ///< robust (1.48 times the median) deviation of the residuals
+  double deviation_px = 0;  ///< robust (1.48 times the median) deviation: the larger of edges' and points'
   int residuals = 0;
 };
 

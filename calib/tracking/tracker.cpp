@@ -25,6 +25,8 @@ using Clock = std::chrono::steady_clock;
 constexpr double kSlack = 2e-3;
 /// Particles that are less likely than the best by this factor are not worth refining.
 constexpr double kNegligibleLog = -12;
+/// Residuals along one edge go wrong together, so this many count as much as one coordinate of a point.
+constexpr double kPointWeight = 10;
 /// Texture: corners looked for, and how many must be found to trust their pose.
 constexpr int kMostCorners = 60, kLeastCorners = 6;
 /// Keypoint poses drawn for each particle that starts from one: minimal sets often hold a wrong match.
@@ -114,6 +116,7 @@ struct Tracker::State {
         keyframes(normalised_keyframes(taught)),
         matcher(keyframes),
         arena(o.threads > 0 ? o.threads : tbb::task_arena::automatic) {
+    options.texture = options.texture && options.polish;
     if (!options.texture || keyframes.empty()) return;
     rays = rays_of(camera);
     for (const Keyframe& k : keyframes)
@@ -300,6 +303,7 @@ struct Tracker::State {
     RefineOptions how;
     how.weights = RefineOptions::Weights::tukey;
     how.iterations = 5;
+    if (!options.polish) how.iterations = 0;
     Refined r;
     std::vector<PointMatch> points;
     out.correlation = std::numeric_limits<double>::quiet_NaN();
@@ -309,6 +313,7 @@ struct Tracker::State {
       // Matches stay true as the pose moves on: they are places in the picture and on the object.
       if (options.texture && range < 6 && points.empty())
         points = texture_matches(frame, pose, &out.correlation);
+      for (PointMatch& p : points) p.weight = kPointWeight;
       how.c_px = range / 2;
       r = refine(samples, points, lens, pose, how);
       pose = r.cam_from_object;
@@ -321,13 +326,12 @@ struct Tracker::State {
   }
 
   /// Noise times the inverse of the information, with a prior of an object's size and of pi, so that what the
-  /// picture does not say is reported as not known. Residuals along one edge go wrong together: a tenth of
-  /// them counts.
+  /// picture does not say is reported as not known.
   Matrix6 covariance_of(const Refined& r) const {
     const double noise = std::max(0.3, r.deviation_px), pi = std::numbers::pi;
     Twist prior;
     prior << 1, 1, 1, 1 / (pi * pi), 1 / (pi * pi), 1 / (pi * pi);
-    Matrix6 information = 0.1 * r.information / (noise * noise);
+    Matrix6 information = r.information / (kPointWeight * noise * noise);
     information += prior.asDiagonal();
     return information.inverse();
   }
