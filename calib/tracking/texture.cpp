@@ -9,6 +9,8 @@
 namespace stuv::tracking {
 namespace {
 
+/// Cosine of the steepest slant at which a taught view still shows a surface: 75 degrees.
+constexpr double kLeastSlant = 0.26;
 constexpr float kInf = std::numeric_limits<float>::infinity();
 
 /// Pixels that a projected triangle may touch; its sides are followed, as a lens bends them.
@@ -31,8 +33,8 @@ Eigen::AlignedBox2i pixels_of(const std::array<Eigen::Vector3d, 3>& corners, con
           (box.max() + margin).cwiseMax(-1.0).cwiseMin(last).cast<int>()};
 }
 
-void draw_depth(const std::array<Eigen::Vector3d, 3>& c, const Eigen::AlignedBox2i& box, const ImageF& rays,
-                DepthPatch& patch) {
+void draw_depth(const std::array<Eigen::Vector3d, 3>& c, int face, const Eigen::AlignedBox2i& box,
+                const ImageF& rays, DepthPatch& patch) {
   Eigen::Matrix3d A;
   A << c[0], c[1], c[2];
   const double det = A.determinant();
@@ -44,8 +46,10 @@ void draw_depth(const std::array<Eigen::Vector3d, 3>& c, const Eigen::AlignedBox
     for (int x = box.min().x(); x <= box.max().x(); ++x) {
       const Eigen::Vector3f b = inverse * Eigen::Vector3f(rays.at(x, y, 0), rays.at(x, y, 1), 1);
       if (b.minCoeff() < 0) continue;
-      float& depth = out[x - patch.x0];
-      depth = std::min(depth, 1 / b.sum());
+      const float depth = 1 / b.sum();
+      if (!(depth < out[x - patch.x0])) continue;
+      out[x - patch.x0] = depth;
+      patch.face.at(x - patch.x0, y - patch.y0) = face;
     }
   }
 }
@@ -58,11 +62,13 @@ float bilinear(const Grey& picture, float x, float y) {
   return (1 - fy) * ((1 - fx) * a[0] + fx * a[1]) + fy * ((1 - fx) * b[0] + fx * b[1]);
 }
 
-float depth_at(const DepthPatch& patch, const Eigen::Vector2d& q) {
-  const int x = static_cast<int>(std::lround(q.x())) - patch.x0,
-            y = static_cast<int>(std::lround(q.y())) - patch.y0;
-  if (x < 0 || y < 0 || x >= patch.depth.width || y >= patch.depth.height) return kInf;
-  return patch.depth.at(x, y);
+/// The largest depth of the four pixels around q: on a slanted face the nearest pixel's may be too small.
+float depth_around(const DepthPatch& patch, const Eigen::Vector2d& q) {
+  const int x = static_cast<int>(std::floor(q.x())) - patch.x0,
+            y = static_cast<int>(std::floor(q.y())) - patch.y0;
+  if (x < 0 || y < 0 || x + 1 >= patch.depth.width || y + 1 >= patch.depth.height) return kInf;
+  return std::max({patch.depth.at(x, y), patch.depth.at(x + 1, y), patch.depth.at(x, y + 1),
+                   patch.depth.at(x + 1, y + 1)});
 }
 
 cv::Mat mat_of(const Grey& grey) {
@@ -89,12 +95,16 @@ DepthPatch render_depth(const ObjectModel& model, const Lens& lens, const ImageF
                         double slack) {
   struct Part {
     std::array<Eigen::Vector3d, 3> corners;
+    int face;
     Eigen::AlignedBox2i box;
   };
   std::vector<Part> parts;
   Eigen::AlignedBox2i whole;
-  for (const auto& [i, j, k] : model.triangles) {
-    Part part{{pose * model.vertices[i], pose * model.vertices[j], pose * model.vertices[k]}, {}};
+  for (std::size_t n = 0; n < model.triangles.size(); ++n) {
+    const auto& [i, j, k] = model.triangles[n];
+    Part part{{pose * model.vertices[i], pose * model.vertices[j], pose * model.vertices[k]},
+              model.face_of_triangle[n],
+              {}};
     if (std::any_of(part.corners.begin(), part.corners.end(), [&](const auto& c) { return c.z() < slack; }))
       continue;
     part.box = pixels_of(part.corners, lens);
@@ -107,7 +117,8 @@ DepthPatch render_depth(const ObjectModel& model, const Lens& lens, const ImageF
   patch.x0 = whole.min().x();
   patch.y0 = whole.min().y();
   patch.depth = ImageF(whole.sizes().x() + 1, whole.sizes().y() + 1, 1, kInf);
-  for (const Part& part : parts) draw_depth(part.corners, part.box, rays, patch);
+  patch.face = Raster<int>(patch.depth.width, patch.depth.height, 1, -1);
+  for (const Part& part : parts) draw_depth(part.corners, part.face, part.box, rays, patch);
   return patch;
 }
 
@@ -118,17 +129,27 @@ WarpedView warp_view(const TexturedView& view, const ObjectModel& model, const L
   const int width = out.depth.depth.width, height = out.depth.depth.height;
   out.picture = Grey(width, height, 1);
   out.seen = Grey(width, height, 1);
-  const Pose from_to = view.cam_from_object * to.inverse();
+  const Pose object_from_to = to.inverse();
+  const Eigen::Vector3d eye = to.centre(), taught_eye = view.cam_from_object.centre();
+  // Faces that both views see from the same side.
+  std::vector<bool> shared(model.face_normals.size());
+  for (std::size_t f = 0; f < shared.size(); ++f) {
+    const Eigen::Vector3d& n = model.face_normals[f];
+    const Eigen::Vector3d ray = taught_eye - model.face_points[f];
+    shared[f] =
+        std::abs(n.dot(ray)) > kLeastSlant * ray.norm() && n.dot(ray) * n.dot(eye - model.face_points[f]) > 0;
+  }
   for (int y = 0; y < height; ++y)
     for (int x = 0; x < width; ++x) {
       const float z = out.depth.depth.at(x, y);
-      if (!std::isfinite(z)) continue;
+      if (!std::isfinite(z) || !shared[out.depth.face.at(x, y)]) continue;
       const float* ray = &rays.at(x + out.depth.x0, y + out.depth.y0);
-      const Eigen::Vector3d there = from_to * (double(z) * Eigen::Vector3d(ray[0], ray[1], 1));
+      const Eigen::Vector3d there =
+          view.cam_from_object * (object_from_to * (double(z) * Eigen::Vector3d(ray[0], ray[1], 1)));
       Eigen::Vector2d q;
       if (!lens.project(there, q) || !lens.inside(q, 1)) continue;
-      // A pixel of the taught view that lies nearer hides this point; 2 % allow for slanted faces.
-      if (!(there.z() < 1.02 * depth_at(view.depth, q))) continue;
+      // A surface that lies nearer to the taught view hides this point.
+      if (!(there.z() < double(depth_around(view.depth, q)) + 5 * slack)) continue;
       out.picture.at(x, y) = static_cast<std::uint8_t>(
           std::lround(bilinear(view.picture, static_cast<float>(q.x()), static_cast<float>(q.y()))));
       out.seen.at(x, y) = 255;

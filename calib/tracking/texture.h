@@ -10,11 +10,12 @@ namespace stuv::tracking {
 /// Directions (x/z, y/z) of all pixels, made once a camera: 2 channels.
 ImageF rays_of(const Camera& camera);
 
-/// Depth along the camera's axis in a box of the picture whose first pixel is (x0, y0); Inf where there is no
-/// object.
+/// Depth along the camera's axis in a box of the picture whose first pixel is (x0, y0), Inf where there is no
+/// object, and the face that is seen there, -1: none.
 struct DepthPatch {
   int x0 = 0, y0 = 0;
   ImageF depth;
+  Raster<int> face;
 };
 
 /// Every triangle is intersected with the pixels' rays, so the lens does not matter. Triangles that reach
@@ -30,7 +31,7 @@ struct TexturedView {
 };
 
 /// The object as a taught view shows it, moved to another pose: `picture` and `seen` (255 where the taught
-/// view saw it) have the size of the depth patch.
+/// view saw the same side of the surface, no more than 75 degrees slanted) have the size of the depth patch.
 struct WarpedView {
   DepthPatch depth;
   Grey picture, seen;

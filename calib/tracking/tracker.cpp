@@ -33,6 +33,8 @@ constexpr int kMostCorners = 60, kLeastCorners = 6;
 constexpr int kHypothesesPerParticle = 3;
 /// A frame's keypoints are drawn from again where the pose that comes out is no good.
 constexpr int kStarts = 3;
+/// A pose that moves the outline by this many search ranges between two frames is a slip, not a motion.
+constexpr double kMostJump = 5;
 /// Cosine between viewing directions up to which a taught view must look like the frame (25 degrees).
 constexpr double kComparable = 0.906;
 /// Frames after a loss during which the old states are kept among the particles.
@@ -177,16 +179,28 @@ struct Tracker::State {
   void measure(const GradientPicture& gradient, const Pose& pose, double range, Measured& out) const {
     out.samples = sample_edges(model, lens, pose, options.spacing_px, kSlack);
     match_edges(gradient, range, options.least_cosine, out.samples);
-    out.log_weight = log_likelihood(summarise(out.samples), range, options.likelihood);
+    out.log_weight =
+        log_likelihood(summarise(out.samples), range, options.likelihood) + texture_likelihood(pose);
+  }
+
+  /// Equation 5 for the texture's points: -lambda_c (c - c_i) / c.
+  double texture_likelihood(const Pose& pose) const {
+    if (texture_points.empty()) return 0;
+    int inliers = 0;
+    for (const PointMatch& m : texture_points) {
+      Eigen::Vector2d q;
+      inliers += lens.project(pose * m.x, q) && (q - m.q).norm() < HypothesisOptions{}.inlier_px ? 1 : 0;
+    }
+    return -HypothesisOptions{}.lambda_c * (1 - inliers / static_cast<double>(texture_points.size()));
   }
 
   void refine_one(const GradientPicture& gradient, const Pose& pose, Measured& m) const {
     RefineOptions how;
     how.iterations = options.refine_iterations;
-    m.refined = refine(m.samples, {}, lens, pose, how).cam_from_object;
+    m.refined = refine(m.samples, texture_points, lens, pose, how).cam_from_object;
     const double near_px = std::max(3.0, options.search_px / 4), weight = m.log_weight;
     measure(gradient, m.refined, near_px, m);
-    m.refined = refine(m.samples, {}, lens, m.refined, how).cam_from_object;
+    m.refined = refine(m.samples, texture_points, lens, m.refined, how).cam_from_object;
     if (options.reweigh)
       measure(gradient, m.refined, near_px, m);
     else
@@ -285,9 +299,10 @@ struct Tracker::State {
   }
 
   /// A pose from texture alone, from where the motion so far leads.
-  std::optional<Pose> texture_pose(const Grey& frame, const Pose& predicted) const {
+  std::optional<Pose> texture_pose(const Grey& frame, const Pose& predicted) {
     const std::vector<PointMatch> points = texture_matches(frame, predicted);
     if (static_cast<int>(points.size()) < kLeastCorners) return {};
+    texture_points = points;
     RefineOptions how;
     how.weights = RefineOptions::Weights::tukey;
     how.c_px = 2;
@@ -338,16 +353,18 @@ struct Tracker::State {
 
   bool is_lost(const TrackedFrame& f) const {
     // A start has to be surer of itself than a pose that follows from the one before.
-    const double doubt = f.initialised ? 0.5 : 0;
-    const double least_part = options.lost_part + 0.2 * doubt;
+    const double least_part = options.lost_part + (f.initialised ? 0.1 : 0);
     if (f.edges.visible < 6 || f.edges.matched < least_part * f.edges.visible) return true;
-    return f.correlation < options.lost_correlation * (1 + doubt);  // not known: NaN, not lost
+    // A start comes from keypoints of a taught view, which must then be there to compare with.
+    if (f.initialised && !views.empty() && !(f.correlation >= 1.5 * options.lost_correlation)) return true;
+    return f.correlation < options.lost_correlation;  // not known: NaN, not lost
   }
 
   // --- one frame -------------------------------------------------------------------------------------------
 
   /// Fills `particles`; false if there is nothing to start from.
   bool predict(const Grey& frame, TrackedFrame& out) {
+    texture_points.clear();
     if (!particles.empty() && !lost) {
       move_particles();
       if (options.texture && !views.empty()) {
@@ -443,6 +460,7 @@ struct Tracker::State {
     }
     const StageClock clock(out.seconds.estimate);
     const Pose last = estimate;
+    const bool was_tracked = known && !lost && !out.initialised;
     const Refined r = polish(gradient, frame, estimate_now, out);
     drift =
         known && !out.initialised ? velocity(options.autoregression, last, r.cam_from_object) : Twist::Zero();
@@ -451,7 +469,8 @@ struct Tracker::State {
     out.deviation_px = r.deviation_px;
     out.covariance = norm.covariance_back(covariance_of(r));
     out.cam_from_object = norm.back(estimate);
-    lost = out.lost = is_lost(out);
+    lost = out.lost = is_lost(out) || (was_tracked && distance_px(last, estimate, lens.focal_px()) >
+                                                          kMostJump * options.search_px);
   }
 
   /// Without the filter: IRLS from the last pose, the method that the paper compares with.
@@ -486,7 +505,8 @@ struct Tracker::State {
   std::mt19937_64 random;
   std::vector<Particle> particles;
   std::vector<Pose> before;
-  std::vector<PointMatch> matches;
+  std::vector<PointMatch> matches;         ///< keypoints of frame number `matches_frame`
+  std::vector<PointMatch> texture_points;  ///< of this frame, where the motion so far led
   std::uint64_t matches_frame = 0;
   Pose estimate, estimate_now;
   Twist drift = Twist::Zero();

@@ -24,11 +24,11 @@ struct TrackerOptions {
   double contrast = 2.5;        ///< weakest picture edge [grey levels per px]
   double least_cosine = 0.85;   ///< between the edge's normal and the picture's gradient
   LikelihoodOptions likelihood;
-  int refine_iterations = 4;     ///< 0: no IRLS
-  bool filter = true;            ///< false: IRLS alone, from the last pose
-  bool reweigh = true;           ///< weigh refined particles again instead of equation 11
+  int refine_iterations = 4;  ///< 0: no IRLS
+  bool filter = true;         ///< false: IRLS alone, from the last pose
+  bool reweigh = true;        ///< weigh refined particles again instead of equation 11
   bool polish = true;   ///< refine the mean on all edges; false: the mean of the particles is the estimate
-  bool texture = true;           ///< use the keyframes' pictures as texture, where there are keyframes and `polish`
+  bool texture = true;  ///< use the keyframes' pictures as texture, where there are keyframes and `polish`
   double effective_part = 0.05;  ///< N_thres of equation 13 as part of the particles
   double lost_part = 0.6;        ///< of the samples matched within lost_px: below it the object is lost
   double lost_px = 3;

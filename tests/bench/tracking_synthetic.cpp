@@ -1,5 +1,6 @@
 // The paper's table on synthetic sequences with truth: IRLS alone, the paper's filter, and all of ours.
-//   bench_tracking_synthetic [PART of the sequences' names [FOLDER for pictures]]     prints one Markdown table
+//   bench_tracking_synthetic [PART of the sequences' names [FOLDER for pictures]]     prints one Markdown
+//   table
 #include <fmt/format.h>
 
 #include <filesystem>
@@ -36,13 +37,16 @@ bool is_there(const Sequence& s, const Camera& camera, const Pose& pose, int fra
   for (const Eigen::Vector3d& v : s.scene.model.vertices) {
     const Eigen::Vector2d q = project(camera, {pose * v})[0];
     const Disc d = s.disc(frame);
-    seen += q.x() > 0 && q.y() > 0 && q.x() < camera.width && q.y() < camera.height && (q - d.at).norm() > d.radius_px ? 1 : 0;
+    seen += q.x() > 0 && q.y() > 0 && q.x() < camera.width && q.y() < camera.height &&
+                    (q - d.at).norm() > d.radius_px
+                ? 1
+                : 0;
   }
   return 10 * seen >= 8 * static_cast<int>(s.scene.model.vertices.size());
 }
 
-Row run(const Sequence& s, const Camera& camera, const std::vector<Grey>& pictures, const std::vector<Keyframe>& keyframes,
-        const TrackerOptions& options) {
+Row run(const Sequence& s, const Camera& camera, const std::vector<Grey>& pictures,
+        const std::vector<Keyframe>& keyframes, const TrackerOptions& options) {
   Tracker tracker(s.scene.model, camera, keyframes, options);
   Row row;
   int unnoticed = 0, recovering = 0;
@@ -52,7 +56,11 @@ Row run(const Sequence& s, const Camera& camera, const std::vector<Grey>& pictur
     const Twist d = tracking::log(f.cam_from_object * truth.inverse());
     const double dt = (f.cam_from_object.t - truth.t).norm(), dr = d.tail<3>().norm();
     if (std::getenv("VERBOSE") != nullptr)
-      fmt::print("{:2} {:.2f} mm {:.2f} deg lost {} init {} edges {}/{} n_eff {:.1f} texture {} corr {:.2f} dev {:.2f}\n", i, 1e3 * dt, dr * 57.3, f.lost, f.initialised, f.edges.matched, f.edges.visible, f.n_eff, f.texture_points, f.correlation, f.deviation_px);
+      fmt::print(
+          "{:2} {:.2f} mm {:.2f} deg lost {} init {} edges {}/{} n_eff {:.1f} texture {} corr {:.2f} dev "
+          "{:.2f}\n",
+          i, 1e3 * dt, dr * 57.3, f.lost, f.initialised, f.edges.matched, f.edges.visible, f.n_eff,
+          f.texture_points, f.correlation, f.deviation_px);
     row.seconds += f.seconds.total();
     const bool off = !f.has_pose || dt > 0.02 || dr > 8 * std::numbers::pi / 180;
     row.flagged += f.lost ? 1 : 0;
@@ -68,7 +76,8 @@ Row run(const Sequence& s, const Camera& camera, const std::vector<Grey>& pictur
     }
     if (f.lost) continue;
     const Eigen::Matrix3d dR = f.cam_from_object.R * truth.R.transpose();
-    const Eigen::Vector3d rpy(std::atan2(dR(2, 1), dR(2, 2)), -std::asin(std::clamp(dR(2, 0), -1.0, 1.0)), std::atan2(dR(1, 0), dR(0, 0)));
+    const Eigen::Vector3d rpy(std::atan2(dR(2, 1), dR(2, 2)), -std::asin(std::clamp(dR(2, 0), -1.0, 1.0)),
+                              std::atan2(dR(1, 0), dR(0, 0)));
     row.sum_sq.head<3>() += (f.cam_from_object.t - truth.t).cwiseAbs2();
     row.sum_sq.tail<3>() += rpy.cwiseAbs2();
     row.t2 += dt * dt, row.r2 += dr * dr;
@@ -80,17 +89,21 @@ Row run(const Sequence& s, const Camera& camera, const std::vector<Grey>& pictur
 void print(const std::string& sequence, const std::string& method, const Row& r, int frames) {
   const Eigen::Matrix<double, 6, 1> rms = (r.sum_sq / std::max(1, r.count)).cwiseSqrt();
   const double degrees = 180 / std::numbers::pi;
-  fmt::print("| {} | {} | {:.2f} | {:.2f} | {:.2f} | {:.2f} | {:.2f} | {:.2f} | {:.2f} | {:.2f} | {} | {} | {} | {} | {:.0f} |\n", sequence, method,
-             1e3 * rms[0], 1e3 * rms[1], 1e3 * rms[2], degrees * rms[3], degrees * rms[4], degrees * rms[5],
-             1e3 * std::sqrt(r.t2 / std::max(1, r.count)), degrees * std::sqrt(r.r2 / std::max(1, r.count)), r.off, r.flagged,
-             r.longest_unnoticed, r.longest_recovery, 1e3 * r.seconds / frames);
+  fmt::print(
+      "| {} | {} | {:.2f} | {:.2f} | {:.2f} | {:.2f} | {:.2f} | {:.2f} | {:.2f} | {:.2f} | {} | {} | {} | {} "
+      "| {:.0f} |\n",
+      sequence, method, 1e3 * rms[0], 1e3 * rms[1], 1e3 * rms[2], degrees * rms[3], degrees * rms[4],
+      degrees * rms[5], 1e3 * std::sqrt(r.t2 / std::max(1, r.count)),
+      degrees * std::sqrt(r.r2 / std::max(1, r.count)), r.off, r.flagged, r.longest_unnoticed,
+      r.longest_recovery, 1e3 * r.seconds / frames);
   std::fflush(stdout);
 }
 
 Pose orbit(double i, double speed) {
   const double a = speed * i;
-  return view_of(0.5 + 0.06 * std::sin(0.05 * a), 0.45 * std::sin(0.07 * a) + 0.3, 0.35 + 0.25 * std::cos(0.05 * a), 0.2 * std::sin(0.04 * a),
-                 0.05 * std::sin(0.09 * a), 0.03 * std::cos(0.08 * a));
+  return view_of(0.5 + 0.06 * std::sin(0.05 * a), 0.45 * std::sin(0.07 * a) + 0.3,
+                 0.35 + 0.25 * std::cos(0.05 * a), 0.2 * std::sin(0.04 * a), 0.05 * std::sin(0.09 * a),
+                 0.03 * std::cos(0.08 * a));
 }
 
 }  // namespace
@@ -115,6 +128,7 @@ int main(int argc, char** argv) {
       s.scene.cell = o.cell;
       s.scene.floor_z = o.floor;
       s.scene.cluttered = cluttered;
+      s.scene.reach = 0.12;
       s.name = o.name + (cluttered ? ", cluttered" : ", plain");
       s.pose = [](double i) { return orbit(i, 1); };
       sequences.push_back(s);
@@ -149,22 +163,29 @@ int main(int argc, char** argv) {
   walk.autoregression = our_walk.autoregression = 0;
   alone = paper;
   alone.filter = false;
-  const std::vector<std::pair<std::string, TrackerOptions>> methods = {
-      {"IRLS alone", alone}, {"paper's filter, random walk", walk}, {"paper's filter", paper}, {"ours, random walk", our_walk}, {"ours", ours}};
-  fmt::print("| sequence | method | x | y | z [mm] | roll | pitch | yaw [deg] | t [mm] | angle [deg] | off | flagged | longest unnoticed | longest recovery | ms |\n|{}\n",
-             "---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|");
+  const std::vector<std::pair<std::string, TrackerOptions>> methods = {{"IRLS alone", alone},
+                                                                       {"paper's filter, random walk", walk},
+                                                                       {"paper's filter", paper},
+                                                                       {"ours, random walk", our_walk},
+                                                                       {"ours", ours}};
+  fmt::print(
+      "| sequence | method | x | y | z [mm] | roll | pitch | yaw [deg] | t [mm] | angle [deg] | off | "
+      "flagged | longest unnoticed | longest recovery | ms |\n|{}\n",
+      "---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|");
   for (const Sequence& s : sequences) {
     if (argc > 1 && s.name.find(argv[1]) == std::string::npos) continue;
     std::vector<Grey> pictures;
     for (int i = 0; i < s.frames; ++i) {
       std::vector<Pose> exposure;
-      for (int k = 0; k < s.blur; ++k) exposure.push_back(s.pose(i + (s.blur > 1 ? 0.3 * (k / (s.blur - 1.0) - 0.5) : 0)));
+      for (int k = 0; k < s.blur; ++k)
+        exposure.push_back(s.pose(i + (s.blur > 1 ? 0.3 * (k / (s.blur - 1.0) - 0.5) : 0)));
       pictures.push_back(photograph(s.scene, camera, exposure, s.disc(i), 6, i));
       if (argc > 2 && i % 15 == 0) {
         Image image;
         image.width = camera.width, image.height = camera.height;
         image.bytes.resize(pictures.back().data.size());
-        std::transform(pictures.back().data.begin(), pictures.back().data.end(), image.bytes.begin(), [](std::uint8_t v) { return std::byte{v}; });
+        std::transform(pictures.back().data.begin(), pictures.back().data.end(), image.bytes.begin(),
+                       [](std::uint8_t v) { return std::byte{v}; });
         write_image(std::filesystem::path(argv[2]) / fmt::format("{}_{:02}.png", s.name, i), image);
       }
     }
@@ -174,8 +195,10 @@ int main(int argc, char** argv) {
     bare.cluttered = false;
     for (const double turn : {-0.2, 0.3, 0.75}) {
       const Pose pose = view_of(0.5, turn, 0.4);
-      keyframes.push_back(teach_keyframe(fmt::format("{}", turn), photograph(bare, camera, {pose}), s.scene.model, camera, pose));
+      keyframes.push_back(teach_keyframe(fmt::format("{}", turn), photograph(bare, camera, {pose}),
+                                         s.scene.model, camera, pose));
     }
-    for (const auto& [name, options] : methods) print(s.name, name, run(s, camera, pictures, keyframes, options), s.frames);
+    for (const auto& [name, options] : methods)
+      print(s.name, name, run(s, camera, pictures, keyframes, options), s.frames);
   }
 }

@@ -13,8 +13,8 @@
 #include "core/camera.h"
 #include "core/parallel.h"
 
-// Pictures of known objects at known poses, made by plain ray casting: nothing here is shared with the tracker's own
-// projection, hidden-line or warping code.
+// Pictures of known objects at known poses, made by plain ray casting: nothing here is shared with the
+// tracker's own projection, hidden-line or warping code.
 namespace stuv::test {
 
 using tracking::Grey;
@@ -54,7 +54,8 @@ inline std::string door_obj() {
   const int n = static_cast<int>(outline.size());
   for (int i = 0; i < n; ++i) {
     for (const double z : {-0.012, 0.012})
-      text += "v " + std::to_string(outline[i].x()) + " " + std::to_string(outline[i].y()) + " " + std::to_string(z) + "\n";
+      text += "v " + std::to_string(outline[i].x()) + " " + std::to_string(outline[i].y()) + " " +
+              std::to_string(z) + "\n";
     const int k = 2 * i + 1, m = 2 * ((i + 1) % n) + 1;
     sides += "f " + std::to_string(k) + " " + std::to_string(m) + " " + std::to_string(m + 1) + " " +
              std::to_string(k + 1) + "\n";
@@ -65,7 +66,8 @@ inline std::string door_obj() {
 }
 
 inline double hashed(int x, int y, int z) {
-  std::uint64_t h = static_cast<std::uint64_t>(x) * 0x9E3779B97F4A7C15ULL ^ static_cast<std::uint64_t>(y) * 0xC2B2AE3D27D4EB4FULL ^
+  std::uint64_t h = static_cast<std::uint64_t>(x) * 0x9E3779B97F4A7C15ULL ^
+                    static_cast<std::uint64_t>(y) * 0xC2B2AE3D27D4EB4FULL ^
                     static_cast<std::uint64_t>(z) * 0x165667B19E3779F9ULL;
   h ^= h >> 29, h *= 0xBF58476D1CE4E5B9ULL, h ^= h >> 32;
   h *= 0x94D049BB133111EBULL, h ^= h >> 29;
@@ -80,10 +82,11 @@ inline double patches(const Eigen::Vector3d& x, double cell, int seed) {
 
 struct Scene {
   ObjectModel model;
-  double texture = 0.35;      ///< contrast of the print
-  double cell = 0.011;        ///< [m]
-  bool cluttered = false;     ///< the object lies on a calibration grid, among scraps
-  double floor_z = 0.06;      ///< of the plane it lies on: object z [m], behind it
+  double texture = 0.35;   ///< contrast of the print
+  double cell = 0.011;     ///< [m]
+  bool cluttered = false;  ///< the object lies on a calibration grid, among scraps
+  double floor_z = 0.06;   ///< of the plane it lies on: object z [m], behind it
+  double reach = 1e3;      ///< no point of the object is farther from its origin [m]
   Eigen::Vector3d light = Eigen::Vector3d(0.4, 0.7, -0.6).normalized();
 };
 
@@ -91,7 +94,8 @@ struct Scene {
 inline double shade(const Scene& scene, const Eigen::Vector3d& eye, const Eigen::Vector3d& ray) {
   double nearest = 1e300;
   int hit = -1;
-  for (std::size_t i = 0; i < scene.model.triangles.size(); ++i) {
+  const bool misses = eye.cross(ray).squaredNorm() > scene.reach * scene.reach * ray.squaredNorm();
+  for (std::size_t i = 0; !misses && i < scene.model.triangles.size(); ++i) {
     const auto& t = scene.model.triangles[i];
     const Eigen::Vector3d a = scene.model.vertices[t[0]], e1 = scene.model.vertices[t[1]] - a,
                           e2 = scene.model.vertices[t[2]] - a, p = ray.cross(e2);
@@ -123,8 +127,8 @@ struct Disc {
 };
 
 /// An 8-bit picture: four samples a pixel, `noise` grey levels of uniform noise seeded by `seed`.
-inline Grey photograph(const Scene& scene, const Camera& camera, const std::vector<Pose>& exposure, const Disc& disc = {},
-                       double noise = 4, int seed = 0) {
+inline Grey photograph(const Scene& scene, const Camera& camera, const std::vector<Pose>& exposure,
+                       const Disc& disc = {}, double noise = 4, int seed = 0) {
   std::vector<Eigen::Vector2d> pixels;
   for (int y = 0; y < camera.height; ++y)
     for (int x = 0; x < camera.width; ++x)
@@ -142,19 +146,21 @@ inline Grey photograph(const Scene& scene, const Camera& camera, const std::vect
           else
             sum += shade(scene, pose.centre(), pose.R.transpose() * rays[i]);
         }
-      const double level = 255 * sum / (4.0 * static_cast<double>(exposure.size())) + noise * (hashed(x, y, seed) - 0.5);
+      const double level =
+          255 * sum / (4.0 * static_cast<double>(exposure.size())) + noise * (hashed(x, y, seed) - 0.5);
       grey.at(x, y) = static_cast<std::uint8_t>(std::lround(std::clamp(level, 0.0, 255.0)));
     }
   });
   return grey;
 }
 
-/// cam_from_object of a camera in front of the object: distance, turns about the camera's y and x axes [rad], place in
-/// the view [m].
+/// cam_from_object of a camera in front of the object: distance, turns about the camera's y and x axes [rad],
+/// place in the view [m].
 inline Pose view_of(double distance, double turn, double tilt, double roll = 0, double x = 0, double y = 0) {
-  const Eigen::Matrix3d R = (Eigen::AngleAxisd(roll, Eigen::Vector3d::UnitZ()) *
-                             Eigen::AngleAxisd(tilt, Eigen::Vector3d::UnitX()) * Eigen::AngleAxisd(turn, Eigen::Vector3d::UnitY()))
-                                .toRotationMatrix();
+  const Eigen::Matrix3d R =
+      (Eigen::AngleAxisd(roll, Eigen::Vector3d::UnitZ()) * Eigen::AngleAxisd(tilt, Eigen::Vector3d::UnitX()) *
+       Eigen::AngleAxisd(turn, Eigen::Vector3d::UnitY()))
+          .toRotationMatrix();
   return {R, {x, y, distance}};
 }
 
