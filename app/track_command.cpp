@@ -1,7 +1,6 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <charconv>
 #include <cmath>
 #include <thread>
 
@@ -25,25 +24,6 @@ struct Flags : CommonFlags {
   double crease_deg = 20;
   TrackerOptions tracker;
 };
-
-/// WxH,fx,fy,cx,cy or a .cameramodel.
-Camera parse_camera(const std::string& text) {
-  const std::size_t comma = text.find(',');
-  if (comma == std::string::npos || fs::exists(text)) return read_cameramodel(text);
-  Camera camera;
-  camera.name = text;
-  std::tie(camera.width, camera.height) = parse_size("--camera", text.substr(0, comma));
-  for (const std::string& part : parse_list("--camera", text.substr(comma + 1))) {
-    double value = 0;
-    const auto [end, error] = std::from_chars(part.data(), part.data() + part.size(), value);
-    if (error != std::errc() || end != part.data() + part.size() || !std::isfinite(value))
-      throw UsageError(fmt::format("--camera: '{}' is no number", part));
-    camera.intrinsics.push_back(value);
-  }
-  if (camera.intrinsics.size() != 4 || !(camera.intrinsics[0] > 0) || !(camera.intrinsics[1] > 0))
-    throw UsageError("--camera wants a .cameramodel or WxH,fx,fy,cx,cy with fx, fy > 0");
-  return camera;
-}
 
 /// "1,14,27" by name or number, or "FIRST:LAST" and "FIRST:LAST:STEP" by number.
 std::vector<SequenceFrame> choose_frames(std::vector<SequenceFrame> frames, const std::string& text) {

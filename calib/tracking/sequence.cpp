@@ -67,6 +67,13 @@ std::optional<fs::path> pose_file(const std::string& pattern, const SequenceFram
 
 }  // namespace
 
+void number_frames(std::vector<SequenceFrame>& frames) {
+  const bool numbers =
+      std::all_of(frames.begin(), frames.end(), [](SequenceFrame& f) { return parse(f.name, f.time); });
+  if (!numbers)
+    for (std::size_t i = 0; i < frames.size(); ++i) frames[i].time = static_cast<double>(i);
+}
+
 std::vector<SequenceFrame> find_frames(const std::string& pattern) {
   const fs::path path(pattern);
   const std::string name = path.filename().string();
@@ -89,10 +96,7 @@ std::vector<SequenceFrame> find_frames(const std::string& pattern) {
   if (frames.empty()) throw Error(pattern, "matches no file", "check the path and where {frame} stands");
   std::sort(frames.begin(), frames.end(),
             [](const auto& a, const auto& b) { return natural_less(a.name, b.name); });
-  const bool numbers =
-      std::all_of(frames.begin(), frames.end(), [](SequenceFrame& f) { return parse(f.name, f.time); });
-  if (!numbers)
-    for (std::size_t i = 0; i < frames.size(); ++i) frames[i].time = static_cast<double>(i);
+  number_frames(frames);
   return frames;
 }
 

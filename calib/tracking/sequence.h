@@ -19,6 +19,9 @@ struct SequenceFrame {
   double time = 0;
 };
 
+/// Sets `time` of each from its name, or from its place if a name is no number.
+void number_frames(std::vector<SequenceFrame>& frames);
+
 /// The files that match a path with {frame} in its last part, in natural order. Throws Error if there is no
 /// {frame} in the file's name, or no match.
 std::vector<SequenceFrame> find_frames(const std::string& pattern);
