@@ -33,7 +33,7 @@ Found find_keypoints(const Grey& picture) {
   const cv::Mat grey(picture.height, picture.width, CV_8U, const_cast<std::uint8_t*>(picture.data.data()));
   std::vector<cv::KeyPoint> keypoints;
   cv::Mat descriptors, bytes;
-  cv::SIFT::create(1000, 3, kContrast)->detectAndCompute(grey, cv::noArray(), keypoints, descriptors);
+  cv::SIFT::create(0, 3, kContrast)->detectAndCompute(grey, cv::noArray(), keypoints, descriptors);
   descriptors.convertTo(bytes, CV_8U);  // SIFT's are whole numbers 0..255
   Found found;
   found.descriptors = Raster<std::uint8_t>(kDescriptorSize, static_cast<int>(keypoints.size()), 1);

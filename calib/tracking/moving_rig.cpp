@@ -9,11 +9,11 @@
 #include <map>
 #include <mutex>
 #include <numeric>
+#include <opencv2/calib3d.hpp>
 #include <opencv2/features2d.hpp>
 #include <set>
 
 #include "calib/lattice_places.h"
-#include "calib/tracking/se3.h"
 #include "calib/tracking/sequence.h"
 #include "core/error.h"
 #include "core/image_io.h"
@@ -120,25 +120,30 @@ Picture look(const MovingFrame& frame, const Camera& camera, int keypoints) {
   return picture;
 }
 
-/// Distance of b's ray from the epipolar line of a's [of the image plane at 1].
-double epipolar_distance(const Pose& b_from_a, const Eigen::Vector2d& a, const Eigen::Vector2d& b) {
-  const Eigen::Vector3d line = b_from_a.t.cross(b_from_a.R * a.homogeneous());
-  return std::abs(line.dot(b.homogeneous())) / std::max(1e-12, line.head<2>().norm());
-}
-
-std::vector<std::pair<int, int>> match(const Picture& a, const Picture& b, const Pose& b_from_a,
-                                       double most) {
+/// Mutual best matches that pass the ratio test and one epipolar geometry (RANSAC, `most` off its lines [of
+/// the image plane at 1]): tracked poses may be centimetres off.
+std::vector<std::pair<int, int>> match(const Picture& a, const Picture& b, double most) {
   std::vector<std::pair<int, int>> matches;
   if (a.features.size() < 2 || b.features.size() < 2) return matches;
   std::vector<std::vector<cv::DMatch>> found, back;
   const cv::BFMatcher matcher(cv::NORM_L2);
   matcher.knnMatch(a.descriptors, b.descriptors, found, 2);
   matcher.knnMatch(b.descriptors, a.descriptors, back, 1);
-  for (const auto& m : found)
-    if (m[0].distance < 0.8F * m[1].distance && back[m[0].trainIdx][0].trainIdx == m[0].queryIdx &&
-        epipolar_distance(b_from_a, a.features[m[0].queryIdx].ray, b.features[m[0].trainIdx].ray) < most)
-      matches.emplace_back(m[0].queryIdx, m[0].trainIdx);
-  return matches;
+  std::vector<cv::Point2d> pa, pb;
+  for (const auto& m : found) {
+    if (!(m[0].distance < 0.8F * m[1].distance) || back[m[0].trainIdx][0].trainIdx != m[0].queryIdx) continue;
+    matches.emplace_back(m[0].queryIdx, m[0].trainIdx);
+    const Eigen::Vector2d &ra = a.features[m[0].queryIdx].ray, &rb = b.features[m[0].trainIdx].ray;
+    pa.emplace_back(ra.x() / most, ra.y() / most);  // in units of the threshold
+    pb.emplace_back(rb.x() / most, rb.y() / most);
+  }
+  if (matches.size() < 12) return {};
+  cv::Mat inlier;
+  cv::findFundamentalMat(pa, pb, cv::FM_RANSAC, 1, 0.999, 2000, inlier);
+  std::vector<std::pair<int, int>> kept;
+  for (std::size_t i = 0; i < matches.size() && !inlier.empty(); ++i)
+    if (inlier.at<std::uint8_t>(static_cast<int>(i)) != 0) kept.push_back(matches[i]);
+  return kept;
 }
 
 /// Sets of things that are the same.
@@ -267,7 +272,7 @@ void note_residuals(const std::vector<TrackedPoint>& points, double focal_px, Ad
 }
 
 Adjusted adjust(const std::vector<Pose>& tracked, std::vector<TrackedPoint>& points, double focal_px,
-                double spacing_m) {
+                double sigma_m) {
   Adjusted out;
   std::vector<std::array<double, 6>> poses;
   for (const Pose& p : tracked) {
@@ -290,8 +295,8 @@ Adjusted adjust(const std::vector<Pose>& tracked, std::vector<TrackedPoint>& poi
           new ceres::HuberLoss(1), poses[s.frame].data(), out.points[j].data());
   for (std::size_t i = 0; i < poses.size(); ++i)
     problem.AddResidualBlock(
-        new ceres::AutoDiffCostFunction<PosePrior, 6, 6>(new PosePrior{tracked[i], 0.1 * spacing_m, 0.01}),
-        nullptr, poses[i].data());
+        new ceres::AutoDiffCostFunction<PosePrior, 6, 6>(new PosePrior{tracked[i], sigma_m, 0.05}), nullptr,
+        poses[i].data());
   ceres::Solver::Options options;
   options.linear_solver_type = ceres::SPARSE_SCHUR;
   options.max_num_iterations = 60;
@@ -306,22 +311,33 @@ Adjusted adjust(const std::vector<Pose>& tracked, std::vector<TrackedPoint>& poi
   return out;
 }
 
+/// Pairs of frames whose centres are near each other, `near` to each.
+std::set<std::pair<int, int>> neighbours(const std::vector<Pose>& poses, std::size_t near) {
+  std::set<std::pair<int, int>> pairs;
+  const int count = static_cast<int>(poses.size());
+  for (int a = 0; a < count; ++a) {
+    std::vector<std::pair<double, int>> others;
+    for (int b = 0; b < count; ++b)
+      if (b != a) others.emplace_back((poses[a].centre() - poses[b].centre()).norm(), b);
+    std::sort(others.begin(), others.end());
+    for (std::size_t k = 0; k < std::min(near, others.size()); ++k)
+      pairs.insert(std::minmax(a, others[k].second));
+    if (a + 1 < count) pairs.insert({a, a + 1});
+  }
+  return pairs;
+}
+
 std::vector<std::array<int, 4>> match_neighbours(const std::vector<Picture>& pictures,
-                                                 const std::vector<Pose>& poses, const LatticeChoice& lattice,
-                                                 double most, const Reporter& reporter) {
-  std::vector<std::pair<int, int>> pairs;
-  for (std::size_t a = 0; a < pictures.size(); ++a)
-    for (std::size_t b = a + 1; b < pictures.size(); ++b) {
-      const int dr = std::abs(lattice.row[a] - lattice.row[b]),
-                dc = std::abs(lattice.col[a] - lattice.col[b]);
-      if ((dr <= 1 && dc <= 1) || (dr == 0 && dc <= 3) || (dc == 0 && dr <= 3)) pairs.emplace_back(a, b);
-    }
+                                                 const std::vector<Pose>& poses, double most,
+                                                 const Reporter& reporter) {
+  const std::set<std::pair<int, int>> near = neighbours(poses, 8);
+  const std::vector<std::pair<int, int>> pairs(near.begin(), near.end());
   std::vector<std::vector<std::pair<int, int>>> found(pairs.size());
   std::mutex mutex;
   std::size_t done = 0;
   parallel_for(static_cast<int>(pairs.size()), [&](int i) {
     const auto [a, b] = pairs[i];
-    found[i] = match(pictures[a], pictures[b], poses[b] * poses[a].inverse(), most);
+    found[i] = match(pictures[a], pictures[b], most);
     const std::lock_guard lock(mutex);
     reporter.at("matching frames", ++done, pairs.size());
   });
@@ -329,6 +345,15 @@ std::vector<std::array<int, 4>> match_neighbours(const std::vector<Picture>& pic
   for (std::size_t i = 0; i < pairs.size(); ++i)
     for (const auto& [k, l] : found[i]) matches.push_back({pairs[i].first, k, pairs[i].second, l});
   return matches;
+}
+
+/// Largest distance of a centre from their mean.
+double extent_of(const std::vector<Pose>& poses) {
+  Eigen::Vector3d mean = Eigen::Vector3d::Zero();
+  for (const Pose& p : poses) mean += p.centre() / static_cast<double>(poses.size());
+  double extent = 0;
+  for (const Pose& p : poses) extent = std::max(extent, (p.centre() - mean).norm());
+  return extent;
 }
 
 /// Depths of the points below the plane of the rig, without the nearest and farthest hundredth.
@@ -345,8 +370,8 @@ void note_depths(std::vector<Eigen::Vector3d> points, Calibration& c) {
 void fill(const std::vector<MovingFrame>& frames, const Camera& camera, const LatticeChoice& lattice,
           const Adjusted& a, Calibration& c) {
   std::vector<PlacedCamera> placed;
-  for (std::size_t i = 0; i < a.poses.size(); ++i)
-    placed.push_back({a.poses[i], lattice.row[i], lattice.col[i], true});
+  for (std::size_t i = 0; i < lattice.frames.size(); ++i)
+    placed.push_back({a.poses[lattice.frames[i]], lattice.row[i], lattice.col[i], true});
   c.layout = fit_layout(placed, lattice.rows, lattice.cols);
   Rig& rig = c.rig;
   rig.rows = c.layout.rows, rig.cols = c.layout.cols;
@@ -355,24 +380,25 @@ void fill(const std::vector<MovingFrame>& frames, const Camera& camera, const La
   rig.rms_off_plane_m = c.layout.rms_off_plane_m;
   const Pose ref_from_rig = c.layout.rig_from_ref.inverse();
   double sum_sq = 0, count = 0;
-  for (std::size_t i = 0; i < a.poses.size(); ++i) {
+  for (std::size_t i = 0; i < lattice.frames.size(); ++i) {
+    const int frame = lattice.frames[i];
     RigCamera rc;
     rc.camera = camera;
-    rc.camera.name = frames[lattice.frames[i]].name;
-    rc.camera.cam_from_rig = a.poses[i] * ref_from_rig;
+    rc.camera.name = frames[frame].name;
+    rc.camera.cam_from_rig = a.poses[frame] * ref_from_rig;
     rc.row = c.layout.row[i], rc.col = c.layout.col[i];
     rc.off_lattice_m = c.layout.off_lattice_m[i];
     rc.position_sigma_m.setConstant(std::numeric_limits<double>::quiet_NaN());
     rig.cameras.push_back(rc);
     CameraSummary summary;
-    summary.inliers = a.count[i] / 2;
-    summary.outliers = a.outliers[i];
-    summary.rms_px = std::sqrt(a.sum_sq[i] / a.count[i]);
+    summary.inliers = a.count[frame] / 2;
+    summary.outliers = a.outliers[frame];
+    summary.rms_px = std::sqrt(a.sum_sq[frame] / a.count[frame]);
     c.cameras.push_back(summary);
     c.observations.camera_names.push_back(rc.camera.name);
     c.observations.size_px.emplace_back(camera.width, camera.height);
-    sum_sq += a.sum_sq[i], count += a.count[i];
-    c.solution.inliers += a.count[i] / 2, c.solution.outliers += a.outliers[i];
+    sum_sq += a.sum_sq[frame], count += a.count[frame];
+    c.solution.inliers += a.count[frame] / 2, c.solution.outliers += a.outliers[frame];
   }
   c.solution.converged = a.converged;
   c.solution.rms_px = std::sqrt(sum_sq / count);
@@ -408,24 +434,21 @@ Calibration calibrate_moving(const std::vector<MovingFrame>& frames, const Camer
     throw Error(camera.name, fmt::format("{} frame(s) with a pose make no lattice", frames.size()),
                 "track more frames");
   Calibration c;
-  std::vector<Pose> poses;
-  for (const MovingFrame& f : frames) poses.push_back(f.cam_from_scene);
-  const LatticeChoice lattice = choose_lattice(poses, options);
+  std::vector<Pose> tracked;
+  for (const MovingFrame& f : frames) tracked.push_back(f.cam_from_scene);
+  const int count = static_cast<int>(frames.size());
+  std::vector<Picture> pictures(frames.size());
+  parallel_for(count, [&](int i) { pictures[i] = look(frames[i], camera, options.keypoints); });
+  const double focal_px = std::sqrt(camera.intrinsics[0] * camera.intrinsics[1]);
+  std::vector<TrackedPoint> points =
+      link(pictures, match_neighbours(pictures, tracked, 1.5 / focal_px, reporter));
+  reporter.at("adjusting", 0, 1);
+  const Adjusted adjusted = adjust(tracked, points, focal_px, options.prior_part * extent_of(tracked));
+  reporter.at("adjusting", 1, 1);
+  const LatticeChoice lattice = choose_lattice(adjusted.poses, options);
   if (lattice.frames.size() < 2)
     throw Error(camera.name, "no lattice of frames can be chosen",
                 "move the camera along a row or over a plane, more evenly");
-  std::vector<Pose> chosen;
-  std::vector<Picture> pictures(lattice.frames.size());
-  for (const int i : lattice.frames) chosen.push_back(poses[i]);
-  parallel_for(static_cast<int>(pictures.size()),
-               [&](int i) { pictures[i] = look(frames[lattice.frames[i]], camera, options.keypoints); });
-  const double focal_px = std::sqrt(camera.intrinsics[0] * camera.intrinsics[1]);
-  double spacing = std::numeric_limits<double>::infinity();
-  for (std::size_t i = 1; i < chosen.size(); ++i)
-    spacing = std::min(spacing, (chosen[i].centre() - chosen[0].centre()).norm());
-  std::vector<TrackedPoint> points =
-      link(pictures, match_neighbours(pictures, chosen, lattice, 10 / focal_px, reporter));
-  const Adjusted adjusted = adjust(chosen, points, focal_px, spacing);
   fill(frames, camera, lattice, adjusted, c);
   note_depths(adjusted.points, c);
   if (lattice.frames.size() < frames.size())

@@ -352,12 +352,16 @@ struct Tracker::State {
   }
 
   bool is_lost(const TrackedFrame& f) const {
-    // A start has to be surer of itself than a pose that follows from the one before.
-    const double least_part = options.lost_part + (f.initialised ? 0.1 : 0);
-    if (f.edges.visible < 6 || f.edges.matched < least_part * f.edges.visible) return true;
+    if (f.edges.visible < 6) return true;
     // A start comes from keypoints of a taught view, which must then be there to compare with.
-    if (f.initialised && !views.empty() && !(f.correlation >= 1.5 * options.lost_correlation)) return true;
-    return f.correlation < options.lost_correlation;  // not known: NaN, not lost
+    const bool must_compare = f.initialised && !views.empty();
+    if (f.correlation < options.lost_correlation || (must_compare && std::isnan(f.correlation))) return true;
+    // An object that looks as taught may have edges that are faint or hidden.
+    const bool looks_right =
+        f.correlation > 1.5 * options.lost_correlation && f.texture_points >= kLeastCorners;
+    if (must_compare && !looks_right) return true;
+    const double least_part = looks_right ? 0.5 * options.lost_part : options.lost_part;
+    return f.edges.matched < least_part * f.edges.visible;
   }
 
   // --- one frame -------------------------------------------------------------------------------------------
