@@ -388,7 +388,6 @@ void fill(const std::vector<MovingFrame>& frames, const Camera& camera, const La
     rc.camera.cam_from_rig = a.poses[frame] * ref_from_rig;
     rc.row = c.layout.row[i], rc.col = c.layout.col[i];
     rc.off_lattice_m = c.layout.off_lattice_m[i];
-    rc.position_sigma_m.setConstant(std::numeric_limits<double>::quiet_NaN());
     rig.cameras.push_back(rc);
     CameraSummary summary;
     summary.inliers = a.count[frame] / 2;
@@ -462,6 +461,7 @@ Calibration calibrate_moving(const std::vector<MovingFrame>& frames, const Camer
     if (c.cameras[i].inliers < 12)
       c.reasons.push_back(fmt::format("frame {} shares only {} points with others",
                                       c.rig.cameras[i].camera.name, c.cameras[i].inliers));
+  c.notes.push_back("uncertainties of the places are not computed for a moving camera");
   c.good = c.reasons.empty();
   return c;
 }

@@ -48,6 +48,7 @@ bool is_there(const Sequence& s, const Camera& camera, const Pose& pose, int fra
 Row run(const Sequence& s, const Camera& camera, const std::vector<Grey>& pictures,
         const std::vector<Keyframe>& keyframes, const TrackerOptions& options) {
   Tracker tracker(s.scene.model, camera, keyframes, options);
+  if (!options.filter) tracker.start(s.pose(0));  // in favour of IRLS alone, which has no way to start
   Row row;
   int unnoticed = 0, recovering = 0;
   for (int i = 0; i < s.frames; ++i) {
