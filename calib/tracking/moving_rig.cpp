@@ -295,8 +295,8 @@ Adjusted adjust(const std::vector<Pose>& tracked, std::vector<TrackedPoint>& poi
           new ceres::HuberLoss(1), poses[s.frame].data(), out.points[j].data());
   for (std::size_t i = 0; i < poses.size(); ++i)
     problem.AddResidualBlock(
-        new ceres::AutoDiffCostFunction<PosePrior, 6, 6>(new PosePrior{tracked[i], sigma_m, 0.05}), nullptr,
-        poses[i].data());
+        new ceres::AutoDiffCostFunction<PosePrior, 6, 6>(new PosePrior{tracked[i], sigma_m, 0.05}),
+        new ceres::CauchyLoss(1), poses[i].data());
   ceres::Solver::Options options;
   options.linear_solver_type = ceres::SPARSE_SCHUR;
   options.max_num_iterations = 60;

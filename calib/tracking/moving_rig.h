@@ -20,7 +20,7 @@ struct MovingOptions {
   double most_off_lattice = 0.35;  ///< of a chosen frame from its lattice point, in spacings
   double least_filled = 0.9;       ///< part of the lattice's points that must have a frame
   int keypoints = 700;             ///< a frame
-  double prior_part = 0.2;         ///< sigma of a tracked centre, by the sweep's extent
+  double prior_part = 0.05;        ///< sigma of a tracked centre, by the sweep's extent
   double most_rms_px = 1;          ///< beyond it the verdict is not good
 };
 
@@ -29,14 +29,16 @@ struct MovingOptions {
 /// Matches SIFT keypoints between each frame and the frames nearest to it, and adjusts poses and points
 /// together,
 ///
-///   minimise sum rho(f |pi(R_i X_j + t_i) - pi(ray_ij)|^2) + sum |pose_i - tracked pose_i|^2 / sigma^2,
+///   minimise sum rho(f |pi(R_i X_j + t_i) - pi(ray_ij)|^2) + sum rho'(|pose_i - tracked pose_i|^2 /
+///   sigma^2),
 ///
-/// rho Huber's at 1 px, the lens kept as it is; the priors (`prior_part` of the sweep's extent, 0.05 rad)
-/// hold the seven freedoms of such a problem where the tracked object put them. Then chooses the frames that
-/// make the largest lattice (of those whose points are filled to `least_filled` by frames within
-/// `most_off_lattice`; every frame, if all stand on one) and fits plane and lattice (fit_layout). The rig
-/// holds the chosen frames only. Not good, with reasons, if there are too few matches or residuals are large.
-/// Throws Error with fewer than 2 frames, if a picture cannot be read, or if no lattice can be chosen.
+/// rho Huber's at 1 px, rho' Cauchy's (a slip of the tracker pulls little), the lens kept as it is; the
+/// priors (`prior_part` of the sweep's extent, 0.05 rad) hold the seven freedoms of such a problem where the
+/// tracked object put them. Then chooses the frames that make the largest lattice (of those whose points are
+/// filled to `least_filled` by frames within `most_off_lattice`; every frame, if all stand on one) and fits
+/// plane and lattice (fit_layout). The rig holds the chosen frames only. Not good, with reasons, if there are
+/// too few matches or residuals are large. Throws Error with fewer than 2 frames, if a picture cannot be
+/// read, or if no lattice can be chosen.
 Calibration calibrate_moving(const std::vector<MovingFrame>& frames, const Camera& camera,
                              const MovingOptions& options = {}, const Reporter& reporter = {});
 

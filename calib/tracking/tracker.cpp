@@ -27,6 +27,8 @@ constexpr double kSlack = 2e-3;
 constexpr double kNegligibleLog = -12;
 /// Residuals along one edge go wrong together, so this many count as much as one coordinate of a point.
 constexpr double kPointWeight = 10;
+/// Least error of a model's edge in a picture, whatever the residuals say.
+constexpr double kModelError_px = 0.6;
 /// Texture: corners looked for, and how many must be found to trust their pose.
 constexpr int kMostCorners = 60, kLeastCorners = 6;
 /// Keypoint poses drawn for each particle that starts from one: minimal sets often hold a wrong match.
@@ -286,16 +288,23 @@ struct Tracker::State {
     return best;
   }
 
-  std::vector<PointMatch> texture_matches(const Grey& frame, const Pose& pose,
-                                          double* correlated = nullptr) const {
+  std::vector<PointMatch> texture_matches(const Grey& frame, const Pose& pose) const {
     const TexturedView* view = nearest_view(pose);
     if (view == nullptr || !(pose.t.z() > 1)) return {};
     const WarpedView warped = warp_view(*view, model, lens, rays, pose, kSlack);
     if (warped.picture.empty()) return {};
-    // From far beside the taught view light and hidden detail change too much to judge by.
-    const double cosine = view->cam_from_object.centre().normalized().dot(pose.centre().normalized());
-    if (correlated != nullptr && cosine > kComparable) *correlated = correlation(warped, frame);
     return follow_texture(warped, frame, rays, pose, kMostCorners);
+  }
+
+  /// Correlation of the frame with the nearest taught view; NaN if there is none near enough: from far beside
+  /// it light and hidden detail change too much to judge by.
+  double correlation_at(const Grey& frame, const Pose& pose) const {
+    const TexturedView* view = nearest_view(pose);
+    const bool comparable =
+        view != nullptr && pose.t.z() > 1 &&
+        view->cam_from_object.centre().normalized().dot(pose.centre().normalized()) > kComparable;
+    if (!comparable) return std::numeric_limits<double>::quiet_NaN();
+    return correlation(warp_view(*view, model, lens, rays, pose, kSlack), frame);
   }
 
   /// A pose from texture alone, from where the motion so far leads.
@@ -321,19 +330,18 @@ struct Tracker::State {
     if (!options.polish) how.iterations = 0;
     Refined r;
     std::vector<PointMatch> points;
-    out.correlation = std::numeric_limits<double>::quiet_NaN();
     for (const double range : {6.0, 3.0, 3.0}) {
       std::vector<EdgeSample> samples = sample_edges(model, lens, pose, options.spacing_px / 2, kSlack);
       match_edges(gradient, range, options.least_cosine, samples);
       // Matches stay true as the pose moves on: they are places in the picture and on the object.
-      if (options.texture && range < 6 && points.empty())
-        points = texture_matches(frame, pose, &out.correlation);
+      if (options.texture && range < 6 && points.empty()) points = texture_matches(frame, pose);
       for (PointMatch& p : points) p.weight = kPointWeight;
       how.c_px = range / 2;
       r = refine(samples, points, lens, pose, how);
       pose = r.cam_from_object;
     }
     out.texture_points = static_cast<int>(points.size());
+    out.correlation = correlation_at(frame, pose);
     std::vector<EdgeSample> samples = sample_edges(model, lens, pose, options.spacing_px / 2, kSlack);
     match_edges(gradient, options.lost_px, options.least_cosine, samples);
     out.edges = summarise(samples);
@@ -343,7 +351,7 @@ struct Tracker::State {
   /// Noise times the inverse of the information, with a prior of an object's size and of pi, so that what the
   /// picture does not say is reported as not known.
   Matrix6 covariance_of(const Refined& r) const {
-    const double noise = std::max(0.3, r.deviation_px), pi = std::numbers::pi;
+    const double noise = std::max(kModelError_px, r.deviation_px), pi = std::numbers::pi;
     Twist prior;
     prior << 1, 1, 1, 1 / (pi * pi), 1 / (pi * pi), 1 / (pi * pi);
     Matrix6 information = r.information / (kPointWeight * noise * noise);
@@ -453,8 +461,47 @@ struct Tracker::State {
       estimate_pose(gradient, frame, out);
       if (!out.lost || !out.initialised) break;
     }
+    if (options.filter && !out.initialised && !lost && is_doubtful(out))
+      out = second_opinion(gradient, frame, out);
+    if (!lost)
+      usual_deviation =
+          usual_deviation > 0 ? 0.9 * usual_deviation + 0.1 * out.deviation_px : out.deviation_px;
     frames_lost = lost ? frames_lost + 1 : 0;
     return out;
+  }
+
+  /// The residuals are much larger than they have been: perhaps a local minimum that looks nearly right.
+  bool is_doubtful(const TrackedFrame& f) const {
+    return usual_deviation > 0 && f.deviation_px > std::max(0.5, 3 * usual_deviation);
+  }
+
+  /// The frame again, from its keypoints; the answer with the smaller residuals stands.
+  TrackedFrame second_opinion(const GradientPicture& gradient, const Grey& frame, const TrackedFrame& first) {
+    const std::vector<Particle> first_particles = particles;
+    const Pose first_estimate = estimate;
+    const Twist first_drift = drift;
+    TrackedFrame second;
+    second.seconds = first.seconds;
+    std::vector<Particle> fresh;
+    bool found = false;
+    {
+      const StageClock clock(second.seconds.keypoints);
+      found = particles_from_keypoints(frame, options.particles, fresh);
+    }
+    if (found) {
+      texture_points.clear();
+      restart(std::move(fresh));
+      second.initialised = true;
+      estimate_pose(gradient, frame, second);
+      if (!second.lost && second.deviation_px < 0.7 * first.deviation_px) return second;
+    }
+    particles = first_particles;
+    estimate = first_estimate;
+    drift = first_drift;
+    lost = false;
+    TrackedFrame kept = first;
+    kept.seconds = second.seconds;
+    return kept;
   }
 
   void estimate_pose(const GradientPicture& gradient, const Grey& frame, TrackedFrame& out) {
@@ -515,6 +562,7 @@ struct Tracker::State {
   Pose estimate, estimate_now;
   Twist drift = Twist::Zero();
   bool known = false, lost = false;
+  double usual_deviation = 0;  ///< running mean of deviation_px; 0: none yet
   int frames_lost = 0;
   std::uint64_t frame_number = 0;
 };
