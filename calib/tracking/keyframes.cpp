@@ -24,6 +24,11 @@ constexpr int kDescriptorSize = 128;
 /// Keypoints of a plain object are weak: half of SIFT's usual contrast.
 constexpr double kContrast = 0.02;
 
+/// In clutter many matches that pass the usual ratio are wrong, and a set of 7 is seldom right: where so many
+/// pass a stricter one, those do.
+constexpr double kStrictRatio = 0.6;
+constexpr std::size_t kEnoughMatches = 14;
+
 struct Found {
   std::vector<Eigen::Vector2d> pixels;
   Raster<std::uint8_t> descriptors;
@@ -200,6 +205,7 @@ std::vector<PointMatch> KeypointMatcher::match(const Grey& frame, double ratio) 
       .convertTo(query, CV_32F);
   struct Best {
     float square;
+    float part;  ///< of the squared distance to the second nearest
     PointMatch match;
   };
   std::map<std::pair<double, double>, Best> best;  // by pixel: SIFT gives a place several orientations
@@ -209,7 +215,7 @@ std::vector<PointMatch> KeypointMatcher::match(const Grey& frame, double ratio) 
       const float first = squares.at<float>(i, 0), second = squares.at<float>(i, 1);
       if (!(first < ratio * ratio * second)) continue;
       const Eigen::Vector2d& q = found.pixels[i];
-      const Best candidate{first, {index.points[indices.at<int>(i, 0)], q, 1}};
+      const Best candidate{first, first / second, {index.points[indices.at<int>(i, 0)], q, 1}};
       const auto [at, is_new] = best.try_emplace({q.x(), q.y()}, candidate);
       if (!is_new && first < at->second.square) at->second = candidate;
     }
@@ -221,7 +227,12 @@ std::vector<PointMatch> KeypointMatcher::match(const Grey& frame, double ratio) 
     if (!is_new && candidate.square < at->second.square) at->second = candidate;
   }
   std::vector<PointMatch> matches;
-  for (const auto& [place, candidate] : by_place) matches.push_back(candidate.match);
+  for (const double strict : {kStrictRatio, ratio}) {
+    matches.clear();
+    for (const auto& [place, candidate] : by_place)
+      if (candidate.part < strict * strict) matches.push_back(candidate.match);
+    if (matches.size() >= kEnoughMatches) break;
+  }
   return matches;
 }
 

@@ -32,7 +32,7 @@ constexpr double kModelError_px = 0.6;
 /// Texture: corners looked for, and how many must be found to trust their pose.
 constexpr int kMostCorners = 60, kLeastCorners = 6;
 /// Keypoint poses drawn for each particle that starts from one: minimal sets often hold a wrong match.
-constexpr int kHypothesesPerParticle = 3;
+constexpr int kHypothesesPerParticle = 6;
 /// A frame's keypoints are drawn from again where the pose that comes out is no good.
 constexpr int kStarts = 3;
 /// A pose that moves the outline by this many search ranges between two frames is a slip, not a motion.
