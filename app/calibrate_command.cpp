@@ -6,6 +6,8 @@
 #include "app/console.h"
 #include "calib/board/find_corners.h"
 #include "calib/solve/report.h"
+#include "calib/tracking/moving_rig.h"
+#include "calib/tracking/sequence.h"
 #include "core/error.h"
 #include "core/files.h"
 
@@ -14,7 +16,7 @@ namespace {
 
 struct Flags : CommonFlags {
   std::filesystem::path recording, output;
-  std::string board;
+  std::string board, moving, camera;
   Lens lens = Lens::opencv4;
   bool complete = false;
 };
@@ -78,7 +80,50 @@ void print_summary(const Flags& flags, const Calibration& c) {
   for (const std::string& note : c.notes) fmt::print("note: {}\n", note);
 }
 
+void write_calibration(const Flags& flags, const Calibration& c, const Json& report) {
+  AtomicOutput output(flags.output, AtomicOutput::Kind::folder, flags.force);
+  write_rig(output.path(), c.rig);
+  write_json(output.path() / "report.json", report);
+  write_text(output.path() / "report.html", report_page(c));
+  output.commit();
+  write_result(flags, report);
+  print_summary(flags, c);
+}
+
+/// The recording's cameras are the frames of one that moved; its first set has their pictures.
+std::vector<tracking::MovingFrame> moving_frames(const Flags& flags, const Recording& recording) {
+  if (recording.sets.empty()) throw Error(flags.recording.string(), "has no set", "record one");
+  std::vector<tracking::SequenceFrame> sequence;
+  for (std::size_t i = 0; i < recording.cameras.size(); ++i) {
+    tracking::SequenceFrame frame{recording.cameras[i].name, recording.sets[0].frames[i].file, double(i)};
+    sequence.push_back(std::move(frame));
+  }
+  tracking::number_frames(sequence);
+  const std::vector<std::optional<Pose>> poses = tracking::poses_of(flags.moving, sequence);
+  std::vector<tracking::MovingFrame> frames;
+  for (std::size_t i = 0; i < sequence.size(); ++i)
+    if (poses[i] && recording.sets[0].frames[i].status == FrameStatus::ok)
+      frames.push_back({sequence[i].name, sequence[i].file, *poses[i]});
+  return frames;
+}
+
+int run_moving(const Flags& flags) {
+  const auto begin = Clock::now();
+  if (flags.camera.empty()) throw UsageError("--moving wants --camera, the lens of the camera that moved");
+  check_output(flags.output, flags.force);
+  const Camera camera = parse_camera(flags.camera);
+  const Recording recording = open_recording(flags.recording);
+  Calibration c = tracking::calibrate_moving(moving_frames(flags, recording), camera, {}, console_reporter());
+  c.rig.produced_by = {{"program", std::string("stuv ") + STUV_VERSION},
+                       {"moving", flags.moving},
+                       {"frames", c.rig.cameras.size()},
+                       {"solver", "Ceres"}};
+  write_calibration(flags, c, report_json(c, seconds_since(begin), 0));
+  return c.good ? kDone : kVerdictNotGood;
+}
+
 int run(const Flags& flags) {
+  if (!flags.moving.empty()) return run_moving(flags);
   const auto begin = Clock::now();
   check_output(flags.output, flags.force);
   const Recording recording = open_recording(flags.recording);
@@ -99,14 +144,7 @@ int run(const Flags& flags) {
       calibrate(observations_of(recording, board, std::move(found)), recording, options, reporter);
   c.rig.produced_by = produced_by(flags, recording, c);
 
-  AtomicOutput output(flags.output, AtomicOutput::Kind::folder, flags.force);
-  write_rig(output.path(), c.rig);
-  const Json report = report_json(c, seconds_since(begin), seconds_corners);
-  write_json(output.path() / "report.json", report);
-  write_text(output.path() / "report.html", report_page(c));
-  output.commit();
-  write_result(flags, report);
-  print_summary(flags, c);
+  write_calibration(flags, c, report_json(c, seconds_since(begin), seconds_corners));
   return c.good ? kDone : kVerdictNotGood;
 }
 
@@ -118,7 +156,9 @@ void add_calibrate_command(CLI::App& app, Action& action) {
       app.add_subcommand("calibrate",
                          "Finds boards and solves for all cameras: lenses, places, plane and lattice.\n\n"
                          "  stuv capture -o rec && stuv calibrate rec -o rig\n"
-                         "  stuv calibrate rec -o rig --board chessboard:28x17:20mm\n");
+                         "  stuv calibrate rec -o rig --board chessboard:28x17:20mm\n"
+                         "  stuv capture --files 'f_{camera}.png' --grid 1x81 -o rec\n"
+                         "  stuv calibrate rec -o rig --moving poses.txt --camera cam.cameramodel\n");
   command->add_option("recording", flags->recording, "The recording's folder")->required()->type_name("REC");
   command->add_option("-o,--output", flags->output, "The rig's folder")->required()->type_name("RIG");
   command
@@ -130,6 +170,13 @@ void add_calibrate_command(CLI::App& app, Action& action) {
   command->add_option("--lens", flags->lens, "opencv4, opencv8 or splined [opencv4]")
       ->transform(CLI::CheckedTransformer(lenses))
       ->type_name("LENS");
+  command
+      ->add_option(
+          "--moving", flags->moving,
+          "The recording's cameras are frames of one camera: their poses from `stuv track`, no board")
+      ->type_name("POSES");
+  command->add_option("--camera", flags->camera, "With --moving: a .cameramodel or WxH,fx,fy,cx,cy")
+      ->type_name("C");
   command->add_flag("--complete", flags->complete, "Refuse a recording with sets that lack cameras");
   add_common_flags(*command, *flags);
   command->callback([flags, &action] { action = [flags] { return run(*flags); }; });

@@ -13,6 +13,7 @@ using Action = std::function<int()>;
 void add_capture_command(CLI::App& app, Action& action);
 void add_calibrate_command(CLI::App& app, Action& action);
 void add_import_command(CLI::App& app, Action& action);
+void add_track_command(CLI::App& app, Action& action);
 void add_rectify_command(CLI::App& app, Action& action);
 void add_plan_command(CLI::App& app, Action& action);
 void add_render_command(CLI::App& app, Action& action);

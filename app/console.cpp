@@ -116,6 +116,23 @@ std::pair<int, int> parse_size(const std::string& flag, const std::string& text)
   return {a, b};
 }
 
+Camera parse_camera(const std::string& text) {
+  const std::size_t comma = text.find(',');
+  if (comma == std::string::npos || std::filesystem::exists(text)) return read_cameramodel(text);
+  Camera camera;
+  camera.name = text;
+  std::tie(camera.width, camera.height) = parse_size("--camera", text.substr(0, comma));
+  for (const std::string& part : parse_list("--camera", text.substr(comma + 1))) {
+    double value = 0;
+    if (!parse_number(part, value) || !std::isfinite(value))
+      throw UsageError(fmt::format("--camera: '{}' is no number", part));
+    camera.intrinsics.push_back(value);
+  }
+  if (camera.intrinsics.size() != 4 || !(camera.intrinsics[0] > 0) || !(camera.intrinsics[1] > 0))
+    throw UsageError("--camera wants a .cameramodel or WxH,fx,fy,cx,cy with fx, fy > 0");
+  return camera;
+}
+
 std::vector<std::string> parse_list(const std::string& flag, const std::string& text) {
   std::vector<std::string> parts;
   std::size_t begin = 0;

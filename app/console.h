@@ -5,6 +5,7 @@
 #include <string>
 #include <utility>
 
+#include "core/camera.h"
 #include "core/json.h"
 #include "core/progress.h"
 #include "core/view.h"
@@ -37,6 +38,8 @@ std::pair<double, double> parse_pair(const std::string& flag, const std::string&
 std::pair<int, int> parse_size(const std::string& flag, const std::string& text);
 /// --disparity MIN,MAX: finite, MIN <= MAX.
 std::pair<double, double> parse_disparity(const std::string& text);
+/// --camera: a .cameramodel or WxH,fx,fy,cx,cy.
+Camera parse_camera(const std::string& text);
 /// Bound of whole-number options (planes, views, pixels), so that help and errors stay readable.
 inline constexpr int kMostCount = 100'000;
 /// --no-skip: names of what `fast` is not to leave out (skip_names) switched off.

@@ -23,6 +23,7 @@ int main(int argc, char** argv) {
   add_render_command(app, action);
   add_view_command(app, action);
   add_bench_command(app, action);
+  add_track_command(app, action);
   app.failure_message(
       [](const CLI::App*, const CLI::Error& e) { return fmt::format("stuv: {}; see --help\n", e.what()); });
   try {

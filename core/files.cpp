@@ -34,11 +34,12 @@ fs::path without_trailing_slash(const fs::path& path) {
 void require_replaceable(const fs::path& folder) {
   std::error_code ec;
   if (!fs::exists(folder, ec)) return;
-  for (const char* manifest : {"recording.json", "rig.json", "lightfield.json"})
+  for (const char* manifest :
+       {"recording.json", "rig.json", "lightfield.json", "keyframes.json", "overlay.json"})
     if (fs::exists(folder / manifest, ec)) return;
   if (fs::is_directory(folder, ec) && fs::is_empty(folder, ec)) return;
   throw Error(folder.string(), "exists and was not made by stuv",
-              "choose another name; --force replaces recordings, rigs and scenes only");
+              "choose another name; --force replaces recordings, rigs, scenes, keyframes and overlays only");
 }
 
 [[noreturn]] void throw_write_error(const fs::path& file, int error) {

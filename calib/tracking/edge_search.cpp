@@ -1,0 +1,91 @@
+#include "calib/tracking/edge_search.h"
+
+#include <algorithm>
+#include <cmath>
+#include <opencv2/imgproc.hpp>
+#include <vector>
+
+namespace stuv::tracking {
+namespace {
+
+constexpr int kMostRange = 96;
+
+double median_magnitude(const ImageF& gradient) {
+  std::vector<float> magnitudes;
+  // Every fifth pixel of every third row is enough for a median.
+  for (int y = 0; y < gradient.height; y += 3)
+    for (int x = 0; x < gradient.width; x += 5)
+      magnitudes.push_back(std::hypot(gradient.at(x, y, 0), gradient.at(x, y, 1)));
+  const auto middle = magnitudes.begin() + static_cast<std::ptrdiff_t>(magnitudes.size() / 2);
+  std::nth_element(magnitudes.begin(), middle, magnitudes.end());
+  return *middle;
+}
+
+/// Bilinear; 0 outside.
+inline Eigen::Vector2f sample(const ImageF& g, float x, float y) {
+  if (!(x >= 0 && y >= 0 && x < static_cast<float>(g.width - 1) && y < static_cast<float>(g.height - 1)))
+    return {0, 0};
+  const int ix = static_cast<int>(x), iy = static_cast<int>(y);
+  const float fx = x - static_cast<float>(ix), fy = y - static_cast<float>(iy);
+  const float *a = g.row(iy) + 2 * ix, *b = g.row(iy + 1) + 2 * ix;
+  const float w00 = (1 - fx) * (1 - fy), w10 = fx * (1 - fy), w01 = (1 - fx) * fy, w11 = fx * fy;
+  return {w00 * a[0] + w10 * a[2] + w01 * b[0] + w11 * b[2],
+          w00 * a[1] + w10 * a[3] + w01 * b[1] + w11 * b[3]};
+}
+
+void insert_nearest(EdgeHypotheses& h, float distance, float strength) {
+  int at = std::min(h.count, EdgeHypotheses::most - 1);
+  if (h.count == EdgeHypotheses::most && std::abs(distance) >= std::abs(h.distance[at])) return;
+  while (at > 0 && std::abs(h.distance[at - 1]) > std::abs(distance)) {
+    h.distance[at] = h.distance[at - 1];
+    h.strength[at] = h.strength[at - 1];
+    --at;
+  }
+  h.distance[at] = distance;
+  h.strength[at] = strength;
+  h.count = std::min(h.count + 1, EdgeHypotheses::most);
+}
+
+}  // namespace
+
+GradientPicture gradient_of(const Grey& picture, double sigma_px, double least) {
+  const cv::Mat grey(picture.height, picture.width, CV_8U, const_cast<std::uint8_t*>(picture.data.data()));
+  cv::Mat smooth, parts[2], both;
+  grey.convertTo(smooth, CV_32F);
+  if (sigma_px > 0) cv::GaussianBlur(smooth, smooth, {}, sigma_px);
+  cv::Scharr(smooth, parts[0], CV_32F, 1, 0, 1.0 / 32);
+  cv::Scharr(smooth, parts[1], CV_32F, 0, 1, 1.0 / 32);
+  GradientPicture out;
+  out.gradient = ImageF(picture.width, picture.height, 2);
+  both = cv::Mat(picture.height, picture.width, CV_32FC2, out.gradient.data.data());
+  cv::merge(parts, 2, both);
+  out.threshold = std::clamp(4 * 1.48 * median_magnitude(out.gradient), least, 3 * least);
+  return out;
+}
+
+EdgeHypotheses search_edges(const GradientPicture& picture, const Eigen::Vector2d& p,
+                            const Eigen::Vector2d& n, double range_px, double least_cosine) {
+  const int range = std::clamp(static_cast<int>(std::ceil(range_px)), 1, kMostRange);
+  std::array<float, 2 * kMostRange + 3> response;
+  std::array<Eigen::Vector2f, 2 * kMostRange + 3> gradient;
+  const Eigen::Vector2f nf = n.cast<float>();
+  const int count = 2 * range + 3;
+  for (int i = 0; i < count; ++i) {
+    const auto s = static_cast<float>(i - range - 1);
+    gradient[i] = sample(picture.gradient, static_cast<float>(p.x()) + s * nf.x(),
+                         static_cast<float>(p.y()) + s * nf.y());
+    response[i] = gradient[i].dot(nf);
+  }
+  EdgeHypotheses out;
+  for (int i = 1; i + 1 < count; ++i) {
+    const float r = std::abs(response[i]), before = std::abs(response[i - 1]),
+                after = std::abs(response[i + 1]);
+    if (r < picture.threshold || r < before || r <= after || r < least_cosine * gradient[i].norm()) continue;
+    const float bend = before - 2 * r + after;
+    const float shift = bend < 0 ? std::clamp(0.5F * (before - after) / bend, -0.5F, 0.5F) : 0;
+    insert_nearest(out, static_cast<float>(i - range - 1) + shift, response[i]);
+  }
+  return out;
+}
+
+}  // namespace stuv::tracking

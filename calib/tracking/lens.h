@@ -1,0 +1,37 @@
+#pragma once
+
+#include <Eigen/Dense>
+
+#include "core/camera.h"
+
+namespace stuv::tracking {
+
+/// One camera's lens, point by point with derivatives: what a filter that projects millions of points needs.
+class Lens {
+ public:
+  /// Throws Error unless the camera is valid (core/camera.h).
+  explicit Lens(const Camera& camera);
+
+  /// A point in the camera's frame to its pixel and d pixel / d point. False, and nothing written, unless the
+  /// point is in front of the camera and within a third beyond the field of view, where distortion
+  /// polynomials still mean something.
+  bool project(const Eigen::Vector3d& x, Eigen::Vector2d& q,
+               Eigen::Matrix<double, 2, 3>* derivative = nullptr) const;
+
+  bool inside(const Eigen::Vector2d& q, double margin_px = 0) const {
+    return q.x() >= margin_px && q.y() >= margin_px && q.x() <= width_ - 1 - margin_px &&
+           q.y() <= height_ - 1 - margin_px;
+  }
+  int width() const { return width_; }
+  int height() const { return height_; }
+  double focal_px() const { return focal_px_; }
+  const Camera& camera() const { return camera_; }
+
+ private:
+  Camera camera_;
+  int width_, height_;
+  double focal_px_, most_tan2_;
+  bool pinhole_;
+};
+
+}  // namespace stuv::tracking

@@ -1,0 +1,469 @@
+#include "calib/tracking/moving_rig.h"
+
+#include <ceres/ceres.h>
+#include <ceres/rotation.h>
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <map>
+#include <mutex>
+#include <numeric>
+#include <opencv2/calib3d.hpp>
+#include <opencv2/features2d.hpp>
+#include <set>
+
+#include "calib/lattice_places.h"
+#include "calib/tracking/sequence.h"
+#include "core/error.h"
+#include "core/image_io.h"
+#include "core/parallel.h"
+
+namespace stuv::tracking {
+namespace {
+
+/// Centres on their plane, x along the cameras' right, turned so that a grid lies along the axes.
+std::vector<Eigen::Vector2d> on_plane(const std::vector<Pose>& poses) {
+  Eigen::Vector3d mean = Eigen::Vector3d::Zero(), right = mean, forward = mean;
+  for (const Pose& p : poses) {
+    mean += p.centre() / static_cast<double>(poses.size());
+    right += p.R.row(0).transpose();
+    forward += p.R.row(2).transpose();
+  }
+  forward.normalize();
+  const Eigen::Vector3d x = (right - right.dot(forward) * forward).normalized(), y = forward.cross(x);
+  std::vector<Eigen::Vector2d> points;
+  for (const Pose& p : poses) points.emplace_back(x.dot(p.centre() - mean), y.dot(p.centre() - mean));
+  return points;
+}
+
+/// The frames nearest to the points of a lattice of rows x cols that spans the box; `score` is how many
+/// points are filled, 0 if too few are.
+struct Candidate {
+  LatticeChoice choice;
+  int score = 0;
+};
+
+Candidate fill_lattice(const std::vector<Eigen::Vector2d>& points, const Eigen::AlignedBox2d& box, int rows,
+                       int cols, const MovingOptions& options) {
+  const Eigen::Vector2d step(cols > 1 ? box.sizes().x() / (cols - 1) : 0,
+                             rows > 1 ? box.sizes().y() / (rows - 1) : 0);
+  const double spacing = cols > 1 && rows > 1 ? step.minCoeff() : step.maxCoeff();
+  std::map<std::pair<int, int>, std::pair<double, int>> nearest;
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    const Eigen::Vector2d at = points[i] - box.min();
+    const int col = cols > 1 ? static_cast<int>(std::lround(at.x() / step.x())) : 0;
+    const int row = rows > 1 ? static_cast<int>(std::lround(at.y() / step.y())) : 0;
+    Eigen::Vector2d off = at - Eigen::Vector2d(col * step.x(), row * step.y());
+    if (rows == 1) off.y() = 0;
+    if (cols == 1) off.x() = 0;
+    if (off.norm() > options.most_off_lattice * spacing) continue;
+    const std::pair<double, int> here(off.norm(), static_cast<int>(i));
+    const auto [found, is_new] = nearest.try_emplace({row, col}, here);
+    if (!is_new) found->second = std::min(found->second, here);
+  }
+  Candidate c;
+  if (static_cast<double>(nearest.size()) < options.least_filled * rows * cols) return c;
+  c.score = static_cast<int>(nearest.size());
+  c.choice.rows = rows;
+  c.choice.cols = cols;
+  for (const auto& [place, frame] : nearest) {
+    c.choice.row.push_back(place.first);
+    c.choice.col.push_back(place.second);
+    c.choice.frames.push_back(frame.second);
+  }
+  return c;
+}
+
+/// All frames, if they stand on a lattice as they are.
+LatticeChoice whole_lattice(const std::vector<Eigen::Vector2d>& points) {
+  const LatticePlaces places = places_on_lattice(points);
+  LatticeChoice choice;
+  std::set<std::pair<int, int>> taken;
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    if (!taken.emplace(places.row[i], places.col[i]).second) return {};
+    choice.frames.push_back(static_cast<int>(i));
+  }
+  // Scattered points have rows and columns, too: nearly one for each point.
+  if (static_cast<double>(points.size()) < 0.7 * places.rows * places.cols) return {};
+  choice.row = places.row, choice.col = places.col;
+  choice.rows = places.rows, choice.cols = places.cols;
+  return choice;
+}
+
+struct Feature {
+  Eigen::Vector2d ray;  ///< x/z, y/z
+  int track = -1;
+};
+
+struct Picture {
+  std::vector<Feature> features;
+  cv::Mat descriptors;
+};
+
+Picture look(const MovingFrame& frame, const Camera& camera, int keypoints) {
+  const Image image = read_image(frame.file);
+  if (image.width != camera.width || image.height != camera.height)
+    throw Error(
+        frame.file.string(),
+        fmt::format("is {}x{}, the camera is {}x{}", image.width, image.height, camera.width, camera.height),
+        "give the camera that took it, at this size");
+  const Grey grey = grey_of(image);
+  const cv::Mat pixels(grey.height, grey.width, CV_8U, const_cast<std::uint8_t*>(grey.data.data()));
+  std::vector<cv::KeyPoint> found;
+  Picture picture;
+  cv::SIFT::create(keypoints)->detectAndCompute(pixels, cv::noArray(), found, picture.descriptors);
+  std::vector<Eigen::Vector2d> places;
+  for (const cv::KeyPoint& k : found) places.emplace_back(k.pt.x, k.pt.y);
+  for (const Eigen::Vector3d& ray : unproject(camera, places))
+    picture.features.push_back({ray.hnormalized(), -1});
+  return picture;
+}
+
+/// Mutual best matches that pass the ratio test and one epipolar geometry (RANSAC, `most` off its lines [of
+/// the image plane at 1]): tracked poses may be centimetres off.
+std::vector<std::pair<int, int>> match(const Picture& a, const Picture& b, double most) {
+  std::vector<std::pair<int, int>> matches;
+  if (a.features.size() < 2 || b.features.size() < 2) return matches;
+  std::vector<std::vector<cv::DMatch>> found, back;
+  const cv::BFMatcher matcher(cv::NORM_L2);
+  matcher.knnMatch(a.descriptors, b.descriptors, found, 2);
+  matcher.knnMatch(b.descriptors, a.descriptors, back, 1);
+  std::vector<cv::Point2d> pa, pb;
+  for (const auto& m : found) {
+    if (!(m[0].distance < 0.8F * m[1].distance) || back[m[0].trainIdx][0].trainIdx != m[0].queryIdx) continue;
+    matches.emplace_back(m[0].queryIdx, m[0].trainIdx);
+    const Eigen::Vector2d &ra = a.features[m[0].queryIdx].ray, &rb = b.features[m[0].trainIdx].ray;
+    pa.emplace_back(ra.x() / most, ra.y() / most);  // in units of the threshold
+    pb.emplace_back(rb.x() / most, rb.y() / most);
+  }
+  if (matches.size() < 12) return {};
+  cv::Mat inlier;
+  cv::findFundamentalMat(pa, pb, cv::FM_RANSAC, 1, 0.999, 2000, inlier);
+  std::vector<std::pair<int, int>> kept;
+  for (std::size_t i = 0; i < matches.size() && !inlier.empty(); ++i)
+    if (inlier.at<std::uint8_t>(static_cast<int>(i)) != 0) kept.push_back(matches[i]);
+  return kept;
+}
+
+/// Sets of things that are the same.
+class Unions {
+ public:
+  explicit Unions(int n) : parent_(n) { std::iota(parent_.begin(), parent_.end(), 0); }
+  int root(int i) {
+    while (parent_[i] != i) i = parent_[i] = parent_[parent_[i]];
+    return i;
+  }
+  void join(int a, int b) { parent_[root(a)] = root(b); }
+
+ private:
+  std::vector<int> parent_;
+};
+
+struct Sight {
+  int frame;
+  Eigen::Vector2d ray;
+};
+using TrackedPoint = std::vector<Sight>;
+
+/// Features of three frames or more that are the same point, no two in one frame.
+std::vector<TrackedPoint> link(const std::vector<Picture>& pictures,
+                               const std::vector<std::array<int, 4>>& matches) {
+  std::vector<int> first(pictures.size() + 1, 0);
+  for (std::size_t i = 0; i < pictures.size(); ++i)
+    first[i + 1] = first[i] + static_cast<int>(pictures[i].features.size());
+  Unions unions(first.back());
+  for (const auto& [a, i, b, j] : matches) unions.join(first[a] + i, first[b] + j);
+  std::map<int, TrackedPoint> by_root;
+  for (std::size_t f = 0; f < pictures.size(); ++f)
+    for (std::size_t i = 0; i < pictures[f].features.size(); ++i)
+      by_root[unions.root(first[f] + static_cast<int>(i))].push_back(
+          {static_cast<int>(f), pictures[f].features[i].ray});
+  std::vector<TrackedPoint> points;
+  for (auto& [root, sights] : by_root) {
+    std::set<int> frames;
+    for (const Sight& s : sights) frames.insert(s.frame);
+    if (sights.size() >= 3 && frames.size() == sights.size()) points.push_back(std::move(sights));
+  }
+  return points;
+}
+
+/// Linear triangulation; false if the point is not in front of all its cameras.
+bool triangulate(const TrackedPoint& point, const std::vector<Pose>& poses, Eigen::Vector3d& x) {
+  Eigen::Matrix3d A = Eigen::Matrix3d::Zero();
+  Eigen::Vector3d b = Eigen::Vector3d::Zero();
+  for (const Sight& s : point) {
+    const Eigen::Vector3d d = (poses[s.frame].R.transpose() * s.ray.homogeneous()).normalized();
+    const Eigen::Matrix3d P = Eigen::Matrix3d::Identity() - d * d.transpose();
+    A += P;
+    b += P * poses[s.frame].centre();
+  }
+  x = A.ldlt().solve(b);
+  return x.allFinite() && std::all_of(point.begin(), point.end(),
+                                      [&](const Sight& s) { return (poses[s.frame] * x).z() > 0; });
+}
+
+struct Reprojection {
+  Eigen::Vector2d ray;
+  double focal_px;
+  template <class T>
+  bool operator()(const T* pose, const T* x, T* residual) const {
+    T p[3];
+    ceres::AngleAxisRotatePoint(pose, x, p);
+    for (int i = 0; i < 3; ++i) p[i] += pose[3 + i];
+    residual[0] = focal_px * (p[0] / p[2] - ray.x());
+    residual[1] = focal_px * (p[1] / p[2] - ray.y());
+    return true;
+  }
+};
+
+/// Centre and direction stay near the tracked ones.
+struct PosePrior {
+  Pose tracked;
+  double sigma_m, sigma_rad;
+  template <class T>
+  bool operator()(const T* pose, T* residual) const {
+    // The centre, -R^T t, and the small rotation between the two.
+    const T back[3] = {-pose[0], -pose[1], -pose[2]};
+    T centre[3];
+    ceres::AngleAxisRotatePoint(back, pose + 3, centre);
+    const Eigen::Vector3d c = tracked.centre();
+    const Eigen::Vector3d r = vector_from_rotation(tracked.R);
+    for (int i = 0; i < 3; ++i) residual[i] = (-centre[i] - c[i]) / sigma_m;
+    T q[4], q0[4], inverse[4], between[4], turn[3];
+    const T r0[3] = {T(r.x()), T(r.y()), T(r.z())};
+    ceres::AngleAxisToQuaternion(pose, q);
+    ceres::AngleAxisToQuaternion(r0, q0);
+    inverse[0] = q0[0];
+    for (int i = 1; i < 4; ++i) inverse[i] = -q0[i];
+    ceres::QuaternionProduct(q, inverse, between);
+    ceres::QuaternionToAngleAxis(between, turn);
+    for (int i = 0; i < 3; ++i) residual[3 + i] = turn[i] / sigma_rad;
+    return true;
+  }
+};
+
+struct Adjusted {
+  std::vector<Pose> poses;
+  std::vector<Eigen::Vector3d> points;
+  std::vector<double> sum_sq;  ///< per frame, of inliers [px^2]
+  std::vector<int> count, outliers;
+  double worst_px = 0;
+  bool converged = false;
+};
+
+constexpr double kOutlierPx = 4;
+
+void note_residuals(const std::vector<TrackedPoint>& points, double focal_px, Adjusted& a) {
+  a.sum_sq.assign(a.poses.size(), 0);
+  a.count.assign(a.poses.size(), 0);
+  a.outliers.assign(a.poses.size(), 0);
+  for (std::size_t j = 0; j < points.size(); ++j)
+    for (const Sight& s : points[j]) {
+      const double e = focal_px * ((a.poses[s.frame] * a.points[j]).hnormalized() - s.ray).norm();
+      if (!(e < kOutlierPx)) {
+        ++a.outliers[s.frame];
+        continue;
+      }
+      a.sum_sq[s.frame] += e * e;
+      a.count[s.frame] += 2;
+      a.worst_px = std::max(a.worst_px, e);
+    }
+}
+
+Adjusted adjust(const std::vector<Pose>& tracked, std::vector<TrackedPoint>& points, double focal_px,
+                double sigma_m) {
+  Adjusted out;
+  std::vector<std::array<double, 6>> poses;
+  for (const Pose& p : tracked) {
+    const Eigen::Vector3d r = vector_from_rotation(p.R);
+    poses.push_back({r.x(), r.y(), r.z(), p.t.x(), p.t.y(), p.t.z()});
+  }
+  std::vector<TrackedPoint> kept;
+  for (TrackedPoint& point : points) {
+    Eigen::Vector3d x;
+    if (!triangulate(point, tracked, x)) continue;
+    out.points.push_back(x);
+    kept.push_back(std::move(point));
+  }
+  points = std::move(kept);
+  ceres::Problem problem;
+  for (std::size_t j = 0; j < points.size(); ++j)
+    for (const Sight& s : points[j])
+      problem.AddResidualBlock(
+          new ceres::AutoDiffCostFunction<Reprojection, 2, 6, 3>(new Reprojection{s.ray, focal_px}),
+          new ceres::HuberLoss(1), poses[s.frame].data(), out.points[j].data());
+  for (std::size_t i = 0; i < poses.size(); ++i)
+    problem.AddResidualBlock(
+        new ceres::AutoDiffCostFunction<PosePrior, 6, 6>(new PosePrior{tracked[i], sigma_m, 0.05}),
+        new ceres::CauchyLoss(1), poses[i].data());
+  ceres::Solver::Options options;
+  options.linear_solver_type = ceres::SPARSE_SCHUR;
+  options.max_num_iterations = 60;
+  options.num_threads = 1;  // sums in a fixed order
+  options.logging_type = ceres::SILENT;
+  ceres::Solver::Summary summary;
+  ceres::Solve(options, &problem, &summary);
+  out.converged = summary.IsSolutionUsable();
+  for (const auto& p : poses)
+    out.poses.push_back({rotation_from_vector({p[0], p[1], p[2]}), {p[3], p[4], p[5]}});
+  note_residuals(points, focal_px, out);
+  return out;
+}
+
+/// Pairs of frames whose centres are near each other, `near` to each.
+std::set<std::pair<int, int>> neighbours(const std::vector<Pose>& poses, std::size_t near) {
+  std::set<std::pair<int, int>> pairs;
+  const int count = static_cast<int>(poses.size());
+  for (int a = 0; a < count; ++a) {
+    std::vector<std::pair<double, int>> others;
+    for (int b = 0; b < count; ++b)
+      if (b != a) others.emplace_back((poses[a].centre() - poses[b].centre()).norm(), b);
+    std::sort(others.begin(), others.end());
+    for (std::size_t k = 0; k < std::min(near, others.size()); ++k)
+      pairs.insert(std::minmax(a, others[k].second));
+    if (a + 1 < count) pairs.insert({a, a + 1});
+  }
+  return pairs;
+}
+
+std::vector<std::array<int, 4>> match_neighbours(const std::vector<Picture>& pictures,
+                                                 const std::vector<Pose>& poses, double most,
+                                                 const Reporter& reporter) {
+  const std::set<std::pair<int, int>> near = neighbours(poses, 8);
+  const std::vector<std::pair<int, int>> pairs(near.begin(), near.end());
+  std::vector<std::vector<std::pair<int, int>>> found(pairs.size());
+  std::mutex mutex;
+  std::size_t done = 0;
+  parallel_for(static_cast<int>(pairs.size()), [&](int i) {
+    const auto [a, b] = pairs[i];
+    found[i] = match(pictures[a], pictures[b], most);
+    const std::lock_guard lock(mutex);
+    reporter.at("matching frames", ++done, pairs.size());
+  });
+  std::vector<std::array<int, 4>> matches;
+  for (std::size_t i = 0; i < pairs.size(); ++i)
+    for (const auto& [k, l] : found[i]) matches.push_back({pairs[i].first, k, pairs[i].second, l});
+  return matches;
+}
+
+/// Largest distance of a centre from their mean.
+double extent_of(const std::vector<Pose>& poses) {
+  Eigen::Vector3d mean = Eigen::Vector3d::Zero();
+  for (const Pose& p : poses) mean += p.centre() / static_cast<double>(poses.size());
+  double extent = 0;
+  for (const Pose& p : poses) extent = std::max(extent, (p.centre() - mean).norm());
+  return extent;
+}
+
+/// Depths of the points below the plane of the rig, without the nearest and farthest hundredth.
+void note_depths(std::vector<Eigen::Vector3d> points, Calibration& c) {
+  std::vector<double> z;
+  for (const Eigen::Vector3d& x : points)
+    if (const double depth = (c.layout.rig_from_ref * x).z(); depth > 0) z.push_back(depth);
+  if (z.empty()) return;
+  std::sort(z.begin(), z.end());
+  c.rig.nearest_seen_m = z[z.size() / 100];
+  c.rig.farthest_seen_m = z[z.size() - 1 - z.size() / 100];
+}
+
+void fill(const std::vector<MovingFrame>& frames, const Camera& camera, const LatticeChoice& lattice,
+          const Adjusted& a, Calibration& c) {
+  std::vector<PlacedCamera> placed;
+  for (std::size_t i = 0; i < lattice.frames.size(); ++i)
+    placed.push_back({a.poses[lattice.frames[i]], lattice.row[i], lattice.col[i], true});
+  c.layout = fit_layout(placed, lattice.rows, lattice.cols);
+  Rig& rig = c.rig;
+  rig.rows = c.layout.rows, rig.cols = c.layout.cols;
+  rig.lattice_origin_m = c.layout.origin_m, rig.s_step_m = c.layout.s_step_m,
+  rig.t_step_m = c.layout.t_step_m;
+  rig.rms_off_plane_m = c.layout.rms_off_plane_m;
+  const Pose ref_from_rig = c.layout.rig_from_ref.inverse();
+  double sum_sq = 0, count = 0;
+  for (std::size_t i = 0; i < lattice.frames.size(); ++i) {
+    const int frame = lattice.frames[i];
+    RigCamera rc;
+    rc.camera = camera;
+    rc.camera.name = frames[frame].name;
+    rc.camera.cam_from_rig = a.poses[frame] * ref_from_rig;
+    rc.row = c.layout.row[i], rc.col = c.layout.col[i];
+    rc.off_lattice_m = c.layout.off_lattice_m[i];
+    rig.cameras.push_back(rc);
+    CameraSummary summary;
+    summary.inliers = a.count[frame] / 2;
+    summary.outliers = a.outliers[frame];
+    summary.rms_px = std::sqrt(a.sum_sq[frame] / a.count[frame]);
+    c.cameras.push_back(summary);
+    c.observations.camera_names.push_back(rc.camera.name);
+    c.observations.size_px.emplace_back(camera.width, camera.height);
+    sum_sq += a.sum_sq[frame], count += a.count[frame];
+    c.solution.inliers += a.count[frame] / 2, c.solution.outliers += a.outliers[frame];
+  }
+  c.solution.converged = a.converged;
+  c.solution.rms_px = std::sqrt(sum_sq / count);
+  c.solution.worst_px = a.worst_px;
+}
+
+}  // namespace
+
+LatticeChoice choose_lattice(const std::vector<Pose>& poses, const MovingOptions& options) {
+  if (poses.size() < 2) return {};
+  std::vector<Eigen::Vector2d> points = on_plane(poses);
+  const Eigen::Rotation2Dd turn(-lattice_angle(points));
+  for (Eigen::Vector2d& p : points) p = turn * p;
+  const LatticeChoice whole = whole_lattice(points);
+  if (!whole.frames.empty()) return whole;
+  Eigen::AlignedBox2d box;
+  for (const Eigen::Vector2d& p : points) box.extend(p);
+  const int most = static_cast<int>(std::min<std::size_t>(points.size(), 100));
+  Candidate best;
+  for (int rows = 1; rows <= most; ++rows)
+    for (int cols = 1; cols <= most && rows * cols <= int(double(points.size()) / options.least_filled);
+         ++cols) {
+      if (rows * cols < 2) continue;
+      const Candidate c = fill_lattice(points, box, rows, cols, options);
+      if (c.score > best.score) best = c;
+    }
+  return best.choice;
+}
+
+Calibration calibrate_moving(const std::vector<MovingFrame>& frames, const Camera& camera,
+                             const MovingOptions& options, const Reporter& reporter) {
+  if (frames.size() < 2)
+    throw Error(camera.name, fmt::format("{} frame(s) with a pose make no lattice", frames.size()),
+                "track more frames");
+  Calibration c;
+  std::vector<Pose> tracked;
+  for (const MovingFrame& f : frames) tracked.push_back(f.cam_from_scene);
+  const int count = static_cast<int>(frames.size());
+  std::vector<Picture> pictures(frames.size());
+  parallel_for(count, [&](int i) { pictures[i] = look(frames[i], camera, options.keypoints); });
+  const double focal_px = std::sqrt(camera.intrinsics[0] * camera.intrinsics[1]);
+  std::vector<TrackedPoint> points =
+      link(pictures, match_neighbours(pictures, tracked, 1.5 / focal_px, reporter));
+  reporter.at("adjusting", 0, 1);
+  const Adjusted adjusted = adjust(tracked, points, focal_px, options.prior_part * extent_of(tracked));
+  reporter.at("adjusting", 1, 1);
+  const LatticeChoice lattice = choose_lattice(adjusted.poses, options);
+  if (lattice.frames.size() < 2)
+    throw Error(camera.name, "no lattice of frames can be chosen",
+                "move the camera along a row or over a plane, more evenly");
+  fill(frames, camera, lattice, adjusted, c);
+  note_depths(adjusted.points, c);
+  if (lattice.frames.size() < frames.size())
+    c.notes.push_back(
+        fmt::format("{} of {} frames were chosen for the lattice", lattice.frames.size(), frames.size()));
+  if (!adjusted.converged) c.reasons.push_back("the adjustment did not converge");
+  if (!(c.solution.rms_px <= options.most_rms_px))
+    c.reasons.push_back(fmt::format("residuals are large: rms {:.2f} px, more than {:.2f}", c.solution.rms_px,
+                                    options.most_rms_px));
+  for (std::size_t i = 0; i < c.cameras.size(); ++i)
+    if (c.cameras[i].inliers < 12)
+      c.reasons.push_back(fmt::format("frame {} shares only {} points with others",
+                                      c.rig.cameras[i].camera.name, c.cameras[i].inliers));
+  c.notes.push_back("uncertainties of the places are not computed for a moving camera");
+  c.good = c.reasons.empty();
+  return c;
+}
+
+}  // namespace stuv::tracking

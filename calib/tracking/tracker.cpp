@@ -1,0 +1,594 @@
+#include "calib/tracking/tracker.h"
+
+#include <fmt/format.h>
+
+#include <tbb/task_arena.h>
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <limits>
+#include <numbers>
+#include <optional>
+#include <random>
+#include <set>
+
+#include "calib/tracking/texture.h"
+#include "core/error.h"
+#include "core/parallel.h"
+
+namespace stuv::tracking {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+/// Hidden-line removal: how far behind a face a point must lie, in radii of the object.
+constexpr double kSlack = 2e-3;
+/// Particles that are less likely than the best by this factor are not worth refining.
+constexpr double kNegligibleLog = -12;
+/// Residuals along one edge go wrong together, so this many count as much as one coordinate of a point.
+constexpr double kPointWeight = 10;
+/// Least error of a model's edge in a picture, whatever the residuals say.
+constexpr double kModelError_px = 0.6;
+/// Texture: corners looked for, and how many must be found to trust their pose.
+constexpr int kMostCorners = 60, kLeastCorners = 6;
+/// Keypoint poses drawn for each particle that starts from one: minimal sets often hold a wrong match.
+constexpr int kHypothesesPerParticle = 6;
+/// A frame's keypoints are drawn from again where the pose that comes out is no good.
+constexpr int kStarts = 3;
+/// A pose that moves the outline by this many search ranges between two frames is a slip, not a motion.
+constexpr double kMostJump = 5;
+/// Cosine between viewing directions up to which a taught view must look like the frame (25 degrees).
+constexpr double kComparable = 0.906;
+/// Frames after a loss during which the old states are kept among the particles.
+constexpr int kKeptFrames = 15;
+
+class StageClock {
+ public:
+  explicit StageClock(double& seconds) : seconds_(seconds), begin_(Clock::now()) {}
+  ~StageClock() { seconds_ += std::chrono::duration<double>(Clock::now() - begin_).count(); }
+  StageClock(const StageClock&) = delete;
+  StageClock& operator=(const StageClock&) = delete;
+
+ private:
+  double& seconds_;
+  Clock::time_point begin_;
+};
+
+/// Between the object's own frame and one with its middle at the origin and its radius as the unit, in which
+/// the filter works: a twist's rotation then turns the object about itself, and no size is special.
+struct Normalisation {
+  Eigen::Vector3d centre;
+  double radius;
+
+  Eigen::Vector3d point(const Eigen::Vector3d& x) const { return (x - centre) / radius; }
+  Pose into(const Pose& p) const { return {p.R, (p.R * centre + p.t) / radius}; }
+  Pose back(const Pose& p) const { return {p.R, radius * p.t - p.R * centre}; }
+  Matrix6 covariance_back(const Matrix6& c) const {
+    // x + w x (x - centre) + radius v': v = radius v' + centre x w
+    Matrix6 M = Matrix6::Identity();
+    M.topLeftCorner<3, 3>() *= radius;
+    M.topRightCorner<3, 3>() = skew(centre);
+    return M * c * M.transpose();
+  }
+};
+
+ObjectModel normalised(ObjectModel model, const Normalisation& n) {
+  for (Eigen::Vector3d& v : model.vertices) v = n.point(v);
+  for (Eigen::Vector3d& v : model.face_points) v = n.point(v);
+  return model;
+}
+
+/// Standard deviations of a twist in the camera's axes that move the object's outline by one pixel: across
+/// the view by z / f, along it by z^2 / f, rotations by z / f (the object's radius is 1).
+Twist one_pixel(double z, double focal_px) {
+  Twist s;
+  const double side = z / focal_px;
+  s << side, side, side * std::max(1.0, z), side, side, side;
+  return s;
+}
+
+/// A twist given in the camera's axes, in the object's.
+Twist in_object(const Pose& cam_from_object, const Twist& cam) {
+  Twist t;
+  t << cam_from_object.R.transpose() * cam.head<3>(), cam_from_object.R.transpose() * cam.tail<3>();
+  return t;
+}
+
+/// The difference of two poses in pixels of the outline, largest component.
+double distance_px(const Pose& a, const Pose& b, double focal_px) {
+  const Twist d = log(a.inverse() * b);
+  Twist cam;
+  cam << a.R * d.head<3>(), a.R * d.tail<3>();
+  return cam.cwiseQuotient(one_pixel(a.t.z(), focal_px)).cwiseAbs().maxCoeff();
+}
+
+struct Measured {
+  std::vector<EdgeSample> samples;
+  double log_weight = 0;
+  Pose refined;
+};
+
+}  // namespace
+
+struct Tracker::State {
+  State(const ObjectModel& object, const Camera& camera, const std::vector<Keyframe>& taught,
+        const TrackerOptions& o)
+      : options(o),
+        norm{object.centre(), object.radius()},
+        model(normalised(object, norm)),
+        lens(camera),
+        keyframes(normalised_keyframes(taught)),
+        matcher(keyframes),
+        arena(o.threads > 0 ? o.threads : tbb::task_arena::automatic) {
+    options.texture = options.texture && options.polish;
+    if (!options.texture || keyframes.empty()) return;
+    rays = rays_of(camera);
+    for (const Keyframe& k : keyframes)
+      views.push_back(
+          {k.picture, k.cam_from_object, render_depth(model, lens, rays, k.cam_from_object, kSlack)});
+  }
+
+  std::vector<Keyframe> normalised_keyframes(std::vector<Keyframe> taught) const {
+    for (Keyframe& k : taught) {
+      k.cam_from_object = norm.into(k.cam_from_object);
+      for (Eigen::Vector3d& x : k.points) x = norm.point(x);
+    }
+    return taught;
+  }
+
+  // --- states -------------------------------------------------------------------------------------------
+
+  double gaussian() { return std::normal_distribution<double>()(random); }
+
+  Twist noise_at(const Pose& pose, double noise_px) {
+    Twist n = one_pixel(pose.t.z(), lens.focal_px()) * noise_px;
+    for (int i = 0; i < 6; ++i) n[i] *= gaussian();
+    return in_object(pose, n);
+  }
+
+  /// The states of the frame before, moved by equation 3. `before` keeps X_{t-1} for equation 4.
+  void move_particles() {
+    before.clear();
+    for (Particle& p : particles) {
+      before.push_back(p.pose);
+      p.pose = propagate(p, noise_at(p.pose, options.noise_px));
+    }
+  }
+
+  /// Particles from keypoint matches, drawn by their weights (equation 6); false without enough matches.
+  bool particles_from_keypoints(const Grey& frame, int count, std::vector<Particle>& out) {
+    if (matches_frame != frame_number) matches = matcher.match(frame);
+    matches_frame = frame_number;
+    HypothesisOptions wanted;
+    wanted.count = kHypothesesPerParticle * count;
+    const std::vector<Hypothesis> drawn = draw_hypotheses(matches, lens, random(), wanted);
+    if (drawn.empty()) return false;
+    std::vector<Particle> candidates;
+    for (const Hypothesis& h : drawn) {
+      Particle p;
+      p.pose = h.cam_from_object;
+      p.log_weight = h.log_weight;
+      candidates.push_back(p);
+    }
+    out = resample(candidates, normalised_weights(candidates), count, 0.5);
+    // Equal copies would stay equal.
+    for (Particle& p : out) p.pose = p.pose * exp(noise_at(p.pose, 0.5 * options.noise_px));
+    return true;
+  }
+
+  // --- likelihood and refinement ------------------------------------------------------------------------
+
+  void measure(const GradientPicture& gradient, const Pose& pose, double range, Measured& out) const {
+    out.samples = sample_edges(model, lens, pose, options.spacing_px, kSlack);
+    match_edges(gradient, range, options.least_cosine, out.samples);
+    out.log_weight =
+        log_likelihood(summarise(out.samples), range, options.likelihood) + texture_likelihood(pose);
+  }
+
+  /// Equation 5 for the texture's points: -lambda_c (c - c_i) / c.
+  double texture_likelihood(const Pose& pose) const {
+    if (texture_points.empty()) return 0;
+    int inliers = 0;
+    for (const PointMatch& m : texture_points) {
+      Eigen::Vector2d q;
+      inliers += lens.project(pose * m.x, q) && (q - m.q).norm() < HypothesisOptions{}.inlier_px ? 1 : 0;
+    }
+    return -HypothesisOptions{}.lambda_c * (1 - inliers / static_cast<double>(texture_points.size()));
+  }
+
+  void refine_one(const GradientPicture& gradient, const Pose& pose, Measured& m) const {
+    RefineOptions how;
+    how.iterations = options.refine_iterations;
+    m.refined = refine(m.samples, texture_points, lens, pose, how).cam_from_object;
+    const double near_px = std::max(3.0, options.search_px / 4), weight = m.log_weight;
+    measure(gradient, m.refined, near_px, m);
+    m.refined = refine(m.samples, texture_points, lens, m.refined, how).cam_from_object;
+    if (options.reweigh)
+      measure(gradient, m.refined, near_px, m);
+    else
+      m.log_weight = weight;
+  }
+
+  /// Weights (7, 8), refinement (9, 10) of the particles that matter, weights again.
+  void weigh_particles(const GradientPicture& gradient) {
+    std::vector<Measured> measured(particles.size());
+    const int count = static_cast<int>(particles.size());
+    parallel([&] {
+      parallel_for(count,
+                   [&](int i) { measure(gradient, particles[i].pose, options.search_px, measured[i]); });
+    });
+    double best = -std::numeric_limits<double>::infinity();
+    for (const Measured& m : measured) best = std::max(best, m.log_weight);
+    parallel([&] {
+      parallel_for(count, [&](int i) {
+        Measured& m = measured[i];
+        m.refined = particles[i].pose;
+        if (options.refine_iterations <= 0) return;
+        if (m.log_weight < best + kNegligibleLog)
+          m.log_weight = -std::numeric_limits<double>::infinity();
+        else
+          refine_one(gradient, particles[i].pose, m);
+      });
+    });
+    for (int i = 0; i < count; ++i) {
+      particles[i].pose = measured[i].refined;
+      particles[i].log_weight = measured[i].log_weight;
+    }
+  }
+
+  template <class F>
+  void parallel(const F& f) {
+    arena.execute(f);
+  }
+
+  /// The mean of the particles around the most likely one (a mean over several modes lies in none).
+  Pose mean_pose(const std::vector<double>& weights) const {
+    const std::size_t best = std::max_element(weights.begin(), weights.end()) - weights.begin();
+    std::vector<Pose> poses;
+    std::vector<double> w;
+    for (std::size_t i = 0; i < particles.size(); ++i) {
+      if (weights[i] <= 0 || distance_px(particles[best].pose, particles[i].pose, lens.focal_px()) > 6)
+        continue;
+      poses.push_back(particles[i].pose);
+      w.push_back(weights[i]);
+    }
+    return mean(poses, w);
+  }
+
+  int wanted_particles(const std::vector<double>& weights) const {
+    if (!options.adaptive) return options.particles;
+    const std::size_t best = std::max_element(weights.begin(), weights.end()) - weights.begin();
+    const Pose origin = particles[best].pose;
+    const Twist cell = 2 * one_pixel(origin.t.z(), lens.focal_px());
+    std::set<std::array<int, 6>> bins;
+    for (std::size_t i = 0; i < particles.size(); ++i) {
+      if (weights[i] * static_cast<double>(particles.size()) < 0.1) continue;
+      const Twist d = log(origin.inverse() * particles[i].pose);
+      Twist cam;
+      cam << origin.R * d.head<3>(), origin.R * d.tail<3>();
+      std::array<int, 6> bin;
+      for (int k = 0; k < 6; ++k)
+        bin[k] = static_cast<int>(std::lround(std::clamp(cam[k] / cell[k], -1e6, 1e6)));
+      bins.insert(bin);
+    }
+    return static_cast<int>(std::clamp(particles_for(static_cast<int>(bins.size())), options.particles / 4.0,
+                                       double(options.particles)));
+  }
+
+  // --- texture -------------------------------------------------------------------------------------------
+
+  /// The taught view whose direction is nearest to the pose's.
+  const TexturedView* nearest_view(const Pose& pose) const {
+    const TexturedView* best = nullptr;
+    double most = 0.3;  // beyond about 70 degrees there is nothing to compare
+    for (const TexturedView& view : views) {
+      const double cosine = view.cam_from_object.centre().normalized().dot(pose.centre().normalized());
+      if (cosine > most) most = cosine, best = &view;
+    }
+    return best;
+  }
+
+  std::vector<PointMatch> texture_matches(const Grey& frame, const Pose& pose) const {
+    const TexturedView* view = nearest_view(pose);
+    if (view == nullptr || !(pose.t.z() > 1)) return {};
+    const WarpedView warped = warp_view(*view, model, lens, rays, pose, kSlack);
+    if (warped.picture.empty()) return {};
+    return follow_texture(warped, frame, rays, pose, kMostCorners);
+  }
+
+  /// Correlation of the frame with the nearest taught view; NaN if there is none near enough: from far beside
+  /// it light and hidden detail change too much to judge by.
+  double correlation_at(const Grey& frame, const Pose& pose) const {
+    const TexturedView* view = nearest_view(pose);
+    const bool comparable =
+        view != nullptr && pose.t.z() > 1 &&
+        view->cam_from_object.centre().normalized().dot(pose.centre().normalized()) > kComparable;
+    if (!comparable) return std::numeric_limits<double>::quiet_NaN();
+    return correlation(warp_view(*view, model, lens, rays, pose, kSlack), frame);
+  }
+
+  /// A pose from texture alone, from where the motion so far leads.
+  std::optional<Pose> texture_pose(const Grey& frame, const Pose& predicted) {
+    const std::vector<PointMatch> points = texture_matches(frame, predicted);
+    if (static_cast<int>(points.size()) < kLeastCorners) return {};
+    texture_points = points;
+    RefineOptions how;
+    how.weights = RefineOptions::Weights::tukey;
+    how.c_px = 2;
+    how.iterations = 8;
+    const Refined r = refine({}, points, lens, predicted, how);
+    if (r.deviation_px > 2) return {};
+    return r.cam_from_object;
+  }
+
+  // --- the estimate ----------------------------------------------------------------------------------------
+
+  Refined polish(const GradientPicture& gradient, const Grey& frame, Pose pose, TrackedFrame& out) const {
+    RefineOptions how;
+    how.weights = RefineOptions::Weights::tukey;
+    how.iterations = 5;
+    if (!options.polish) how.iterations = 0;
+    Refined r;
+    std::vector<PointMatch> points;
+    for (const double range : {6.0, 3.0, 3.0}) {
+      std::vector<EdgeSample> samples = sample_edges(model, lens, pose, options.spacing_px / 2, kSlack);
+      match_edges(gradient, range, options.least_cosine, samples);
+      // Matches stay true as the pose moves on: they are places in the picture and on the object.
+      if (options.texture && range < 6 && points.empty()) points = texture_matches(frame, pose);
+      for (PointMatch& p : points) p.weight = kPointWeight;
+      how.c_px = range / 2;
+      r = refine(samples, points, lens, pose, how);
+      pose = r.cam_from_object;
+    }
+    out.texture_points = static_cast<int>(points.size());
+    out.correlation = correlation_at(frame, pose);
+    std::vector<EdgeSample> samples = sample_edges(model, lens, pose, options.spacing_px / 2, kSlack);
+    match_edges(gradient, options.lost_px, options.least_cosine, samples);
+    out.edges = summarise(samples);
+    return r;
+  }
+
+  /// Noise times the inverse of the information, with a prior of an object's size and of pi, so that what the
+  /// picture does not say is reported as not known.
+  Matrix6 covariance_of(const Refined& r) const {
+    const double noise = std::max(kModelError_px, r.deviation_px), pi = std::numbers::pi;
+    Twist prior;
+    prior << 1, 1, 1, 1 / (pi * pi), 1 / (pi * pi), 1 / (pi * pi);
+    Matrix6 information = r.information / (kPointWeight * noise * noise);
+    information += prior.asDiagonal();
+    return information.inverse();
+  }
+
+  bool is_lost(const TrackedFrame& f) const {
+    if (f.edges.visible < 6) return true;
+    // A start comes from keypoints of a taught view, which must then be there to compare with.
+    const bool must_compare = f.initialised && !views.empty();
+    if (f.correlation < options.lost_correlation || (must_compare && std::isnan(f.correlation))) return true;
+    // An object that looks as taught may have edges that are faint or hidden.
+    const bool looks_right =
+        f.correlation > 1.5 * options.lost_correlation && f.texture_points >= kLeastCorners;
+    if (must_compare && !looks_right) return true;
+    const double least_part = looks_right ? 0.5 * options.lost_part : options.lost_part;
+    return f.edges.matched < least_part * f.edges.visible;
+  }
+
+  // --- one frame -------------------------------------------------------------------------------------------
+
+  /// Fills `particles`; false if there is nothing to start from.
+  bool predict(const Grey& frame, TrackedFrame& out) {
+    texture_points.clear();
+    if (!particles.empty() && !lost) {
+      move_particles();
+      if (options.texture && !views.empty()) {
+        const StageClock clock(out.seconds.texture);
+        const Pose predicted = estimate * exp(drift);
+        if (const auto pose = texture_pose(frame, predicted)) propose(*pose);
+      }
+      return true;
+    }
+    const StageClock clock(out.seconds.keypoints);
+    std::vector<Particle> fresh;
+    const bool found = particles_from_keypoints(frame, options.particles, fresh);
+    if (!particles.empty() && frames_lost < kKeptFrames) {
+      move_particles();
+      if (!found) return true;
+      // Half of each.
+      std::vector<Particle> both(fresh.begin(),
+                                 fresh.begin() + static_cast<std::ptrdiff_t>(fresh.size() + 1) / 2);
+      const std::size_t rest = std::min(particles.size(), fresh.size() - both.size());
+      both.insert(both.end(), particles.begin(), particles.begin() + static_cast<std::ptrdiff_t>(rest));
+      fresh = std::move(both);
+    }
+    if (!found) return false;
+    restart(std::move(fresh));
+    out.initialised = true;
+    return true;
+  }
+
+  void restart(std::vector<Particle> fresh) {
+    particles = std::move(fresh);
+    before.clear();
+    for (const Particle& p : particles) before.push_back(p.pose);
+    drift.setZero();
+    // A start has no velocity, which is not the same as one of 0.
+    for (Particle& p : particles) p.velocity.setZero();
+  }
+
+  /// A tenth of the particles come from the texture's pose.
+  void propose(const Pose& pose) {
+    const std::size_t count = std::max<std::size_t>(1, particles.size() / 10);
+    for (std::size_t i = 0; i < std::min(count, particles.size()); ++i)
+      particles[i].pose = i == 0 ? pose : pose * exp(noise_at(pose, 1));
+  }
+
+  void run_filter(const GradientPicture& gradient, const Grey& frame, TrackedFrame& out) {
+    weigh_particles(gradient);
+    std::vector<double> weights = normalised_weights(particles);
+    out.n_eff = effective_number(weights);
+    std::vector<Particle> fresh;
+    if (!out.initialised && out.n_eff < options.effective_part * static_cast<double>(particles.size())) {
+      const StageClock clock(out.seconds.keypoints);
+      if (particles_from_keypoints(frame, options.particles / 2, fresh)) {
+        const Particle best = particles[std::max_element(weights.begin(), weights.end()) - weights.begin()];
+        fresh.push_back(best);
+        restart(std::move(fresh));
+        weigh_particles(gradient);
+        weights = normalised_weights(particles);
+        out.initialised = true;
+      }
+    }
+    estimate_now = mean_pose(weights);
+    for (std::size_t i = 0; i < particles.size(); ++i)
+      particles[i].velocity = out.initialised
+                                  ? Twist(Twist::Zero())
+                                  : velocity(options.autoregression, before[i], particles[i].pose);
+    const int wanted = wanted_particles(weights);
+    out.particles = static_cast<int>(particles.size());
+    particles = resample(particles, weights, wanted, std::uniform_real_distribution<double>()(random));
+  }
+
+  TrackedFrame track(const Grey& frame) {
+    TrackedFrame out;
+    ++frame_number;
+    random.seed(options.seed * 7919 + frame_number);
+    GradientPicture gradient;
+    {
+      const StageClock clock(out.seconds.gradient);
+      gradient = gradient_of(frame, 1.0, options.contrast);
+    }
+    for (int start = 0; start < kStarts; ++start) {
+      if (options.filter ? !predict(frame, out) : !predict_alone(gradient, frame, out)) return out;
+      estimate_pose(gradient, frame, out);
+      if (!out.lost || !out.initialised) break;
+    }
+    if (options.filter && !out.initialised && !lost && is_doubtful(out))
+      out = second_opinion(gradient, frame, out);
+    if (!lost)
+      usual_deviation =
+          usual_deviation > 0 ? 0.9 * usual_deviation + 0.1 * out.deviation_px : out.deviation_px;
+    frames_lost = lost ? frames_lost + 1 : 0;
+    return out;
+  }
+
+  /// The residuals are much larger than they have been: perhaps a local minimum that looks nearly right.
+  bool is_doubtful(const TrackedFrame& f) const {
+    return usual_deviation > 0 && f.deviation_px > std::max(0.5, 3 * usual_deviation);
+  }
+
+  /// The frame again, from its keypoints; the answer with the smaller residuals stands.
+  TrackedFrame second_opinion(const GradientPicture& gradient, const Grey& frame, const TrackedFrame& first) {
+    const std::vector<Particle> first_particles = particles;
+    const Pose first_estimate = estimate;
+    const Twist first_drift = drift;
+    TrackedFrame second;
+    second.seconds = first.seconds;
+    std::vector<Particle> fresh;
+    bool found = false;
+    {
+      const StageClock clock(second.seconds.keypoints);
+      found = particles_from_keypoints(frame, options.particles, fresh);
+    }
+    if (found) {
+      texture_points.clear();
+      restart(std::move(fresh));
+      second.initialised = true;
+      estimate_pose(gradient, frame, second);
+      if (!second.lost && second.deviation_px < 0.7 * first.deviation_px) return second;
+    }
+    particles = first_particles;
+    estimate = first_estimate;
+    drift = first_drift;
+    lost = false;
+    TrackedFrame kept = first;
+    kept.seconds = second.seconds;
+    return kept;
+  }
+
+  void estimate_pose(const GradientPicture& gradient, const Grey& frame, TrackedFrame& out) {
+    if (options.filter) {
+      const StageClock clock(out.seconds.filter);
+      run_filter(gradient, frame, out);
+    }
+    const StageClock clock(out.seconds.estimate);
+    const Pose last = estimate;
+    const bool was_tracked = known && !lost && !out.initialised;
+    const Refined r = polish(gradient, frame, estimate_now, out);
+    drift =
+        known && !out.initialised ? velocity(options.autoregression, last, r.cam_from_object) : Twist::Zero();
+    estimate = r.cam_from_object;
+    known = out.has_pose = true;
+    out.deviation_px = r.deviation_px;
+    out.covariance = norm.covariance_back(covariance_of(r));
+    out.cam_from_object = norm.back(estimate);
+    lost = out.lost = is_lost(out) || (was_tracked && distance_px(last, estimate, lens.focal_px()) >
+                                                          kMostJump * options.search_px);
+  }
+
+  /// Without the filter: IRLS from the last pose, the method that the paper compares with.
+  bool predict_alone(const GradientPicture& gradient, const Grey& frame, TrackedFrame& out) {
+    if (known && !lost) {
+      Measured m;
+      measure(gradient, estimate, options.search_px, m);
+      refine_one(gradient, estimate, m);
+      estimate_now = m.refined;
+      return true;
+    }
+    std::vector<Particle> fresh;
+    if (!particles_from_keypoints(frame, options.particles, fresh))
+      return known && (estimate_now = estimate, true);
+    out.initialised = true;
+    std::vector<Pose> poses;
+    for (const Particle& p : fresh) poses.push_back(p.pose);
+    estimate_now = poses.front();
+    return true;
+  }
+
+  TrackerOptions options;
+  Normalisation norm;
+  ObjectModel model;
+  Lens lens;
+  std::vector<Keyframe> keyframes;
+  KeypointMatcher matcher;
+  tbb::task_arena arena;
+  ImageF rays;
+  std::vector<TexturedView> views;
+
+  std::mt19937_64 random;
+  std::vector<Particle> particles;
+  std::vector<Pose> before;
+  std::vector<PointMatch> matches;         ///< keypoints of frame number `matches_frame`
+  std::vector<PointMatch> texture_points;  ///< of this frame, where the motion so far led
+  std::uint64_t matches_frame = 0;
+  Pose estimate, estimate_now;
+  Twist drift = Twist::Zero();
+  bool known = false, lost = false;
+  double usual_deviation = 0;  ///< running mean of deviation_px; 0: none yet
+  int frames_lost = 0;
+  std::uint64_t frame_number = 0;
+};
+
+Tracker::Tracker(const ObjectModel& model, const Camera& camera, const std::vector<Keyframe>& keyframes,
+                 const TrackerOptions& options)
+    : state_(std::make_unique<State>(model, camera, keyframes, options)) {}
+
+Tracker::~Tracker() = default;
+
+void Tracker::start(const Pose& cam_from_object) {
+  Particle p;
+  p.pose = state_->norm.into(cam_from_object);
+  state_->restart(std::vector<Particle>(static_cast<std::size_t>(state_->options.particles), p));
+  state_->estimate = p.pose;
+  state_->known = true;
+  state_->lost = false;
+}
+
+TrackedFrame Tracker::track(const Grey& frame) {
+  if (frame.width != state_->lens.width() || frame.height != state_->lens.height())
+    throw Error(state_->lens.camera().name,
+                fmt::format("is a camera of {}x{}, the frame is {}x{}", state_->lens.width(),
+                            state_->lens.height(), frame.width, frame.height),
+                "give the camera that took the frames, at their size");
+  return state_->track(frame);
+}
+
+}  // namespace stuv::tracking
