@@ -311,6 +311,39 @@ Adjusted adjust(const std::vector<Pose>& tracked, std::vector<TrackedPoint>& poi
   return out;
 }
 
+double median(std::vector<double> values) {
+  std::nth_element(values.begin(), values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2),
+                   values.end());
+  return values[values.size() / 2];
+}
+
+Eigen::Vector3d median_centre(const std::vector<Pose>& poses) {
+  Eigen::Vector3d out;
+  for (int k = 0; k < 3; ++k) {
+    std::vector<double> values;
+    for (const Pose& p : poses) values.push_back(p.centre()[k]);
+    out[k] = median(std::move(values));
+  }
+  return out;
+}
+
+/// Residuals say nothing of scale and place, and robust priors hold them loosely: both again from the tracked
+/// centres, as medians, which a part of slipped frames does not move. False if the frames do not tell.
+bool restore_scale(const std::vector<Pose>& tracked, Adjusted& a) {
+  std::vector<double> ratios;
+  for (std::size_t i = 0; i < tracked.size(); ++i)
+    for (std::size_t j = i + 1; j < tracked.size(); ++j)
+      if (const double now = (a.poses[i].centre() - a.poses[j].centre()).norm(); now > 0)
+        ratios.push_back((tracked[i].centre() - tracked[j].centre()).norm() / now);
+  if (ratios.empty()) return false;
+  const double scale = median(std::move(ratios));
+  if (!(scale > 0) || !std::isfinite(scale)) return false;
+  const Eigen::Vector3d from = median_centre(a.poses), to = median_centre(tracked);
+  for (Pose& p : a.poses) p.t = -(p.R * (to + scale * (p.centre() - from)));
+  for (Eigen::Vector3d& x : a.points) x = to + scale * (x - from);
+  return true;
+}
+
 /// Pairs of frames whose centres are near each other, `near` to each.
 std::set<std::pair<int, int>> neighbours(const std::vector<Pose>& poses, std::size_t near) {
   std::set<std::pair<int, int>> pairs;
@@ -442,7 +475,12 @@ Calibration calibrate_moving(const std::vector<MovingFrame>& frames, const Camer
   std::vector<TrackedPoint> points =
       link(pictures, match_neighbours(pictures, tracked, 1.5 / focal_px, reporter));
   reporter.at("adjusting", 0, 1);
-  const Adjusted adjusted = adjust(tracked, points, focal_px, options.prior_part * extent_of(tracked));
+  const double sigma_m = options.prior_part * extent_of(tracked);
+  Adjusted adjusted = adjust(tracked, points, focal_px, sigma_m);
+  const bool scaled = restore_scale(tracked, adjusted);
+  int slipped = 0;
+  for (std::size_t i = 0; i < tracked.size(); ++i)
+    slipped += (adjusted.poses[i].centre() - tracked[i].centre()).norm() < 3 * sigma_m ? 0 : 1;
   reporter.at("adjusting", 1, 1);
   const LatticeChoice lattice = choose_lattice(adjusted.poses, options);
   if (lattice.frames.size() < 2)
@@ -457,6 +495,15 @@ Calibration calibrate_moving(const std::vector<MovingFrame>& frames, const Camer
   if (!(c.solution.rms_px <= options.most_rms_px))
     c.reasons.push_back(fmt::format("residuals are large: rms {:.2f} px, more than {:.2f}", c.solution.rms_px,
                                     options.most_rms_px));
+  if (!scaled) c.reasons.push_back("scale cannot be determined: the tracked poses do not tell");
+  if (slipped > options.most_slipped * count)
+    c.reasons.push_back(
+        fmt::format("{} of {} tracked poses do not fit the pictures: scale and place are those of "
+                    "the others, if they are right; look at the overlays of `stuv track`",
+                    slipped, count));
+  else if (slipped > 0)
+    c.notes.push_back(
+        fmt::format("{} of {} tracked poses do not fit the pictures and were moved", slipped, count));
   for (std::size_t i = 0; i < c.cameras.size(); ++i)
     if (c.cameras[i].inliers < 12)
       c.reasons.push_back(fmt::format("frame {} shares only {} points with others",

@@ -22,6 +22,7 @@ struct MovingOptions {
   int keypoints = 700;             ///< a frame
   double prior_part = 0.05;        ///< sigma of a tracked centre, by the sweep's extent
   double most_rms_px = 1;          ///< beyond it the verdict is not good
+  double most_slipped = 0.1;       ///< part of the tracked poses that may lie elsewhere than the pictures say
 };
 
 /// A rig from the frames of one moving camera.
@@ -34,11 +35,12 @@ struct MovingOptions {
 ///
 /// rho Huber's at 1 px, rho' Cauchy's (a slip of the tracker pulls little), the lens kept as it is; the
 /// priors (`prior_part` of the sweep's extent, 0.05 rad) hold the seven freedoms of such a problem where the
-/// tracked object put them. Then chooses the frames that make the largest lattice (of those whose points are
-/// filled to `least_filled` by frames within `most_off_lattice`; every frame, if all stand on one) and fits
-/// plane and lattice (fit_layout). The rig holds the chosen frames only. Not good, with reasons, if there are
-/// too few matches or residuals are large. Throws Error with fewer than 2 frames, if a picture cannot be
-/// read, or if no lattice can be chosen.
+/// tracked object put them; scale and place are then set anew by the medians of the tracked centres. Then
+/// chooses the frames that make the largest lattice (of those whose points are filled to `least_filled` by
+/// frames within `most_off_lattice`; every frame, if all stand on one) and fits plane and lattice
+/// (fit_layout). The rig holds the chosen frames only. Not good, with reasons, if there are too few matches
+/// or residuals are large. Throws Error with fewer than 2 frames, if a picture cannot be read, or if no
+/// lattice can be chosen.
 Calibration calibrate_moving(const std::vector<MovingFrame>& frames, const Camera& camera,
                              const MovingOptions& options = {}, const Reporter& reporter = {});
 
