@@ -40,12 +40,7 @@ class ExactRenderer : public Renderer {
   }
 
   RenderedView focal_plane(const Viewpoint& view, double d_px, Filter filter) override {
-    if (!std::isfinite(d_px)) throw std::invalid_argument("render: the disparity must be finite");
-    RenderOptions options;
-    options.planes = 1;
-    options.window = 0;
-    options.k = filter;
-    options.d_min = options.d_max = d_px;
+    const RenderOptions options = focal_plane_options(d_px, filter);
     validate(view, store_.views().lf);
     const auto start = Clock::now();
     const Sweep sweep(store_, lattice_, view, options);

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstring>
 #include <limits>
+#include <stdexcept>
 
 #include "render/all_in_focus.h"
 
@@ -72,6 +73,16 @@ PixelRect needed_pixels(const Sweep& sweep, const View& camera, const PixelRect&
 SweepLattice::SweepLattice(const ViewSet& views) : chart(views.lf.rows, views.lf.cols, views.cameras) {
   for (const Filter filter : {Filter::normal, Filter::wide, Filter::skipped})
     filters.emplace_back(views.lf.rows, views.lf.cols, views.cameras, filter);
+}
+
+RenderOptions focal_plane_options(double d_px, Filter filter) {
+  if (!std::isfinite(d_px)) throw std::invalid_argument("render: the disparity must be finite");
+  RenderOptions options;
+  options.planes = 1;
+  options.window = 0;
+  options.k = filter;
+  options.d_min = options.d_max = d_px;
+  return options;
 }
 
 Sweep::Sweep(PixelStore& pixels, const SweepLattice& sweep_lattice, const Viewpoint& viewpoint,

@@ -24,6 +24,10 @@ struct SweepLattice {
   }
 };
 
+/// The sweep over a single plane, as focal_plane() wants it. Throws std::invalid_argument unless d_px is
+/// finite.
+RenderOptions focal_plane_options(double d_px, Filter filter);
+
 /// How far windows reach.
 enum class Windows {
   whole,  ///< to the border of the picture

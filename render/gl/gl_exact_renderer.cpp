@@ -139,13 +139,7 @@ class GlExactRenderer : public Renderer {
     return render(view, options, true, reporter);
   }
   RenderedView focal_plane(const Viewpoint& view, double d_px, Filter filter) override {
-    if (!std::isfinite(d_px)) throw std::invalid_argument("render: the disparity must be finite");
-    RenderOptions options;
-    options.planes = 1;
-    options.window = 0;
-    options.k = filter;
-    options.d_min = options.d_max = d_px;
-    return render(view, options, false, {});
+    return render(view, focal_plane_options(d_px, filter), false, {});
   }
   void load(const Viewpoint& view, const RenderOptions& options) override {
     context_.make_current();
