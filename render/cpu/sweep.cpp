@@ -504,6 +504,9 @@ bool SweepBlock::difference_by_warp(int n, const PixelRect& halo) {
   kernels::warp_difference(warp_job_, maps_.data() + static_cast<std::size_t>(n) * cameras_.size(), x, y,
                            halo.x1 - halo.x0, halo.y1 - halo.y0, E0_.data(), defined_.data(),
                            candidate_.data());
+  // Three for the bilinear sample, one for each difference.
+  multiply_adds_ += 5.0 * warp_job_.channels * static_cast<double>(cameras_.size()) * (halo.x1 - halo.x0) *
+                    (halo.y1 - halo.y0);
   // The last vector of a row ran over its end.
   for (int row = halo.y0; row < halo.y1; ++row)
     for (std::vector<float>* raster : {&E0_, &defined_})
