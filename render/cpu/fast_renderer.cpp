@@ -183,16 +183,19 @@ RowWork FastRenderer::evaluate_tiles(SweepBlock& block, const TilePlan& plan, in
     return static_cast<double>(right(end - 1) - left(first)) * (rect.y1 - rect.y0);
   };
   RowWork work;
-  std::vector<char> many(static_cast<std::size_t>(plan.cols));
+  std::vector<char> many(static_cast<std::size_t>(plan.cols)), flat(many);
   for (int col = 0; col < plan.cols; ++col) {
     many[static_cast<std::size_t>(col)] = plan.wanted_count(row, col) * kManyPlanes > plan.planes ? 1 : 0;
     if (const int n = plan.chosen_at(row, col); n >= 0) {
-      block.choose(n, left(col), right(col));
-      work.flat += pixels(col, col + 1);
+      block.evaluate(n, left(col), right(col));
+      work.evaluated += pixels(col, col + 1);
+      // At a border the plane may not be seen everywhere.
+      flat[static_cast<std::size_t>(col)] = block.all_chosen(left(col), right(col)) ? 1 : 0;
+      if (flat[static_cast<std::size_t>(col)]) work.flat += pixels(col, col + 1);
     }
   }
   const auto wants = [&](int n, int col) {
-    return plan.chosen_at(row, col) < 0 && plan.at(row, col)[n] != 0;
+    return !flat[static_cast<std::size_t>(col)] && plan.at(row, col)[n] != 0 && n != plan.chosen_at(row, col);
   };
   for (int n = 0; n < plan.planes; ++n) {
     for (int col = 0, end = 0; col < plan.cols; col = end) {
@@ -286,7 +289,7 @@ void FastRenderer::fill_statistics(RenderedView& out, const RenderOptions& optio
   out.statistics.evaluated_fraction = all.evaluated / work;
   out.statistics.skipped = {
       {"empty planes", empty / work},
-      {"planes not near the tile", (work - all.flat * options.planes - empty - all.evaluated) / work},
+      {"planes not near the tile", (work - all.flat * (options.planes - 1) - empty - all.evaluated) / work},
       {"flat tiles", all.flat / pixels},
       {"second filter", all.ruled_out / work},
       {"idle cameras", 1 - all.cameras / cameras},

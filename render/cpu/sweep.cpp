@@ -605,6 +605,13 @@ void SweepBlock::choose(int n, int x0, int x1) {
     std::fill_n(plane_.data() + static_cast<std::size_t>(y) * stride_ + (x0 - rect_.x0), x1 - x0, n);
 }
 
+bool SweepBlock::all_chosen(int x0, int x1) const {
+  for (int y = 0; y < rect_.y1 - rect_.y0; ++y)
+    for (int x = x0 - rect_.x0; x < x1 - rect_.x0; ++x)
+      if (plane(y)[x] < 0) return false;
+  return true;
+}
+
 double SweepBlock::bytes() const {
   const int channels = shift_job_.channels;
   const double pixels = static_cast<double>(rect_.x1 - rect_.x0) * (rect_.y1 - rect_.y0);

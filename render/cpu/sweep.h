@@ -73,6 +73,8 @@ class SweepBlock {
   bool ruled_out(int n, int x0, int x1);
   /// Plane n is chosen on those columns without looking at any cost.
   void choose(int n, int x0, int x1);
+  /// Every pixel of the columns has a plane.
+  bool all_chosen(int x0, int x1) const;
   /// Writes colour, disparity, plane and confidence of the block, the planes and costs being those of
   /// `searched`, a block of the same rectangle.
   void write(RenderedView& out, const SweepBlock& searched);
