@@ -106,7 +106,8 @@ TEST_CASE("Each skip of fast can be switched off alone") {
   CHECK(skipped(render([](Skips& s) { s.unread_tiles = false; }), "unread tiles of the database") == 0);
   // With nothing left out, it is exact.
   const RenderedView all = render([](Skips& s) { s = nothing(); });
-  CHECK(all.colour.data == exact.colour.data);
+  // But for rounding: other blocks, other sums.
+  CHECK(psnr(all.colour, exact.colour) > 120);
   CHECK(all.plane.data == exact.plane.data);
   // Where many planes are looked at, the second filter rules some out, and changes nothing.
   const RenderedView ruled = render([](Skips& s) {
@@ -114,7 +115,7 @@ TEST_CASE("Each skip of fast can be switched off alone") {
     s.second_filter = s.idle_cameras = s.unread_tiles = true;
   });
   CHECK(skipped(ruled, "second filter") > 0);
-  CHECK(ruled.colour.data == exact.colour.data);
+  CHECK(psnr(ruled.colour, exact.colour) > 120);
   CHECK(ruled.plane.data == exact.plane.data);
 }
 
