@@ -9,6 +9,7 @@ import subprocess
 from pathlib import Path
 
 import matplotlib
+from PIL import Image
 
 matplotlib.use("svg")
 import matplotlib.pyplot as plt
@@ -100,7 +101,7 @@ def against_peer(bench):
             rows.append({"scene": name, "method": "peer", "backend": "cpu", "planes": planes, "window": window,
                          "views": views, "ms_median": statistics.median(p["ms_mean"] for p in peers),
                          "psnr_db": peers[0]["psnr_db"]})
-        single = bench.rows(scene, "literal", planes, window, 1) + bench.rows(scene, "exact", planes, window, 1, "gl")
+        single = bench.rows(scene, "literal", planes, window, views) + bench.rows(scene, "exact", planes, window, views, "gl")
         for row in median_rows(ours) + single:
             rows.append({"scene": name, **row})
         base = rows[-5]["ms_median"] if peers else None
@@ -123,9 +124,8 @@ def over_error(bench, scenes):
     rows = []
     for name, listed, low, high, planes, window, views in scenes:
         scene = bench.args.work / name
-        few = min(views, 2)
         for m in sorted({1, window, 7}):
-            for row in bench.rows(scene, "exact,fast", "9,17,29,41,61", m, few):
+            for row in bench.rows(scene, "exact,fast", "9,17,29,41,61", m, views):
                 rows.append({"scene": name, **row})
     return rows
 
@@ -182,6 +182,22 @@ def thinned_list(listed, every, path):
     return len(kept)
 
 
+def resized_list(listed, size, folder):
+    """The input views at another size."""
+    folder.mkdir(exist_ok=True)
+    with open(listed, newline="") as file:
+        rows = [row for row in csv.DictReader(file) if not row["role"].startswith("truth")]
+    for row in rows:
+        image = Image.open(Path(listed).parent / row["file"]).convert("RGB").resize((size, size), Image.LANCZOS)
+        row["file"] = Path(row["file"]).stem + ".png"
+        image.save(folder / row["file"])
+    with open(folder / "views.csv", "w", newline="") as file:
+        writer = csv.DictWriter(file, rows[0].keys())
+        writer.writeheader()
+        writer.writerows(rows)
+    return folder / "views.csv"
+
+
 def growth(bench):
     """Cost over pixels, planes, cameras and threads, of one scene."""
     name, listed, low, high, planes, window, _ = SCENES[2] if (bench.args.data / SCENES[2][1]).exists() else SCENES[0]
@@ -199,7 +215,10 @@ def growth(bench):
 
     common = ("--planes", planes, "--window", window)
     for size in (128, 256, 512, 1024):
-        add("pixels", size * size, lambda m: bench.milliseconds(scene, m, views, *common, "--size", f"{size}x{size}"))
+        scale = size / light_field["width"]
+        other = bench.scene("resized", resized_list(bench.args.data / listed, size, bench.args.work / "resized_views"),
+                            low * scale, high * scale)
+        add("pixels", size * size, lambda m: bench.milliseconds(other, m, views, *common))
     for n in (5, 9, 17, 33, 65, 129):
         add("planes", n, lambda m: bench.milliseconds(scene, m, views, "--planes", n, "--window", window))
     for m_px in (0, 1, 3, 7, 15, 31):
