@@ -2,6 +2,7 @@
 
 #include <chrono>
 #include <exception>
+#include <new>
 
 namespace stuv {
 namespace {
@@ -63,6 +64,8 @@ void RenderWorker::run() {
     try {
       result = render(request);
     } catch (const GivenUp&) {
+    } catch (const std::bad_alloc&) {
+      result = Result{request, {}, "out of memory; choose another method or fewer planes"};
     } catch (const std::exception& e) {
       result = Result{request, {}, e.what()};
     }
@@ -70,25 +73,30 @@ void RenderWorker::run() {
     working_ = false;
     if (result) done_ = std::move(result);
   }
-  // Renderers of OpenGL end where they were made.
-  renderers_.clear();
+  // A renderer of OpenGL ends where it was made.
+  renderer_.reset();
 }
 
 RenderWorker::Result RenderWorker::render(const Request& request) {
   const ViewerState& state = request.state;
-  auto& renderer = renderers_[{state.method, state.backend}];
-  if (!renderer) renderer = make_renderer(state.method, state.backend, reader_);
+  const std::pair wanted(state.method, state.backend);
+  if (!renderer_ || made_ != wanted) {
+    renderer_.reset();
+    renderer_ = make_renderer(state.method, state.backend, reader_);
+    made_ = wanted;
+  }
   const Viewpoint view = viewpoint_of(state, reader_.light_field(), request.shrink);
   const auto start = std::chrono::steady_clock::now();
   Reporter reporter;
   reporter.progress = [&](std::string_view, std::size_t done, std::size_t total) {
     const std::lock_guard lock(mutex_);
     progress_ = static_cast<double>(done) / static_cast<double>(total);
-    if (stop_ || (give_up_ && std::chrono::steady_clock::now() - start > kPatience)) throw GivenUp();
+    const bool late = give_up_ && std::chrono::steady_clock::now() - start > kPatience;
+    if (stop_ || (late && done < total)) throw GivenUp();
   };
   Result out{request, {}, {}};
-  out.view = state.all_in_focus ? renderer->all_in_focus(view, state.options, reporter)
-                                : renderer->focal_plane(view, state.focus_px, state.options.k);
+  out.view = state.all_in_focus ? renderer_->all_in_focus(view, state.options, reporter)
+                                : renderer_->focal_plane(view, state.focus_px, state.options.k);
   return out;
 }
 

@@ -1,7 +1,6 @@
 #pragma once
 
 #include <condition_variable>
-#include <map>
 #include <memory>
 #include <mutex>
 #include <optional>
@@ -31,7 +30,8 @@ class RenderWorker {
   RenderWorker(const RenderWorker&) = delete;
   RenderWorker& operator=(const RenderWorker&) = delete;
 
-  /// Takes the place of a request that waits. A picture that has been in work for long is given up.
+  /// Takes the place of a request that waits. A picture that has been in work for long is given up, unless it
+  /// is as good as done.
   void submit(const Request& request);
   /// The newest picture that is done, once.
   std::optional<Result> take();
@@ -45,7 +45,9 @@ class RenderWorker {
   Result render(const Request& request);
 
   const LightFieldReader& reader_;
-  std::map<std::pair<Method, Backend>, std::unique_ptr<Renderer>> renderers_;
+  // One at a time: `literal` holds all pictures in memory, OpenGL its textures.
+  std::unique_ptr<Renderer> renderer_;
+  std::pair<Method, Backend> made_{};
   mutable std::mutex mutex_;
   std::condition_variable wake_;
   std::optional<Request> waiting_;

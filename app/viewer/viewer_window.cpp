@@ -8,6 +8,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <stdexcept>
 
 #include "app/viewer/render_worker.h"
 #include "core/error.h"
@@ -23,23 +24,53 @@ namespace {
 constexpr int kPanel_px = 360;
 /// While the mouse moves, pictures are made so small that they take no longer.
 constexpr double kDragging_ms = 60;
+/// The first picture is this much smaller, so that something is seen at once.
+constexpr int kFirstShrink = 8;
+/// Longest time between frames of the window.
+constexpr double kResting_s = 0.1, kWorking_s = 0.015;
+/// Clicks of the wheel that a drag with shift over the picture's height is worth: the whole range.
+constexpr double kClicksPerHeight = 40;
 
 std::string last_glfw_error() {
   const char* text = nullptr;
   return glfwGetError(&text) == GLFW_NO_ERROR || text == nullptr ? "no reason given" : text;
 }
 
+/// Without the slash that a shell may have left at its end.
+std::string name_of(const LightField& lf) {
+  const std::filesystem::path folder = std::filesystem::absolute(lf.folder).lexically_normal();
+  return (folder.has_filename() ? folder : folder.parent_path()).filename().string();
+}
+
+/// Of the window: the panel and the picture, small ones enlarged, no larger than the screen has room for.
+std::pair<int, int> window_size(const LightField& lf) {
+  constexpr int kLeastHeight = 720;
+  int x = 0, y = 0, width = 0, height = 0;
+  if (GLFWmonitor* monitor = glfwGetPrimaryMonitor())
+    glfwGetMonitorWorkarea(monitor, &x, &y, &width, &height);
+  if (width <= 0 || height <= 0) width = 1366, height = 768;
+  // A tenth is left for the frame and so that the window can be moved.
+  const double most_width = std::max(0.9 * width - kPanel_px, 100.0),
+               most_height = std::max(0.9 * height, 100.0);
+  const double enlarged = std::max(1.0, kLeastHeight / static_cast<double>(lf.height));
+  const double scale = std::min({most_width / lf.width, most_height / lf.height, enlarged});
+  return {kPanel_px + std::max(static_cast<int>(std::lround(scale * lf.width)), 100),
+          std::max(static_cast<int>(std::lround(scale * lf.height)),
+                   static_cast<int>(std::min<double>(kLeastHeight, most_height)))};
+}
+
 /// GLFW, its window with OpenGL, and Dear ImGui in it.
 class Window {
  public:
-  Window(const std::string& title, int width, int height) {
+  explicit Window(const LightField& lf) {
     if (!glfwInit())
       throw Error("the display", fmt::format("cannot be opened ({})", last_glfw_error()),
                   "run on a desktop, over ssh -X, or under xvfb-run");
     glfwWindowHint(GLFW_CONTEXT_VERSION_MAJOR, 3);
     glfwWindowHint(GLFW_CONTEXT_VERSION_MINOR, 3);
     glfwWindowHint(GLFW_OPENGL_PROFILE, GLFW_OPENGL_CORE_PROFILE);
-    window_ = glfwCreateWindow(width, height, title.c_str(), nullptr, nullptr);
+    const auto [width, height] = window_size(lf);
+    window_ = glfwCreateWindow(width, height, ("stuv view " + name_of(lf)).c_str(), nullptr, nullptr);
     if (window_ == nullptr) {
       const std::string why = last_glfw_error();
       glfwTerminate();
@@ -89,7 +120,7 @@ class Viewer {
   Viewer(const LightFieldReader& reader, const ViewerState& start)
       : lf_(reader.light_field()), start_(start), state_(start), worker_(reader) {
     glGenTextures(1, &texture_);
-    ask(1);
+    ask(kFirstShrink);
   }
 
   /// One frame of the window.
@@ -97,9 +128,7 @@ class Viewer {
     // First, so that the frame shows it.
     if (std::optional<RenderWorker::Result> result = worker_.take()) show(std::move(*result));
     const bool changed = panel() | picture_area();
-    if (changed) {
-      ask(shrink_for(full_ms_, kDragging_ms));
-    }
+    if (changed) ask(shrink_for(full_ms_, kDragging_ms));
     // The mouse rests: now in full.
     if (worker_.idle() && shown_.request.shrink > 1 && !changed && problem_.empty()) ask(1);
   }
@@ -108,6 +137,9 @@ class Viewer {
     return worker_.idle() &&
            (!problem_.empty() || (!shown_.view.colour.empty() && shown_.request.shrink == 1));
   }
+
+  /// Why there is no picture; empty: there is one.
+  const std::string& problem() const { return problem_; }
 
  private:
   void ask(int shrink) { worker_.submit({state_, shrink}); }
@@ -240,11 +272,11 @@ void Viewer::numbers() {
   }
 }
 
-/// The picture beside where the viewer was started, under a name that is free.
+/// The picture into the folder where the viewer was started, under a name that is free.
 void Viewer::save() {
   std::filesystem::path file;
   for (int i = 0; file.empty() || std::filesystem::exists(file); ++i)
-    file = fmt::format("{}_{:03}.png", lf_.folder.filename().string(), i);
+    file = fmt::format("{}_{:03}.png", name_of(lf_), i);
   try {
     write_image(file, from_float(shown_.view.colour, PixelType::u8));
     saved_ = file.string();
@@ -260,7 +292,7 @@ bool Viewer::panel() {
   ImGui::Begin("stuv", nullptr,
                ImGuiWindowFlags_NoMove | ImGuiWindowFlags_NoResize | ImGuiWindowFlags_NoCollapse |
                    ImGuiWindowFlags_NoTitleBar);
-  ImGui::Text("%s", lf_.folder.filename().string().c_str());
+  ImGui::TextUnformatted(name_of(lf_).c_str());
   ImGui::TextDisabled("%dx%d views of %dx%d, %s", lf_.rows, lf_.cols, lf_.width, lf_.height,
                       lf_.metric ? "metres" : "no metres");
   ImGui::Separator();
@@ -274,17 +306,23 @@ bool Viewer::panel() {
   else
     ImGui::TextWrapped("%s", problem_.c_str());
   ImGui::Separator();
-  if (ImGui::Button("Back to the start")) {
+  const bool home = !ImGui::GetIO().WantTextInput && ImGui::IsKeyPressed(ImGui::GetKeyIndex(ImGuiKey_Home));
+  if (ImGui::Button("Back to the start") || home) {
     state_ = start_;
     changed = true;
   }
   ImGui::SameLine();
-  if (ImGui::Button("Save picture") && !shown_.view.colour.empty()) save();
+  // Not the small one that is shown while the full one is in work.
+  ImGui::BeginDisabled(!complete() || !problem_.empty());
+  if (ImGui::Button("Save picture")) save();
+  ImGui::EndDisabled();
   if (!saved_.empty()) ImGui::TextWrapped("%s", saved_.c_str());
-  ImGui::TextDisabled("%s", lf_.metric ? "drag: along the cameras' plane\nwheel: towards the scene\n"
-                                         "right drag: look around\nctrl wheel: zoom"
-                                       : "drag: along the cameras' plane\nctrl wheel: zoom\n"
-                                         "(without metres only on their plane)");
+  ImGui::TextDisabled("%s", lf_.metric
+                                ? "drag: along the cameras' plane\nwheel, shift drag: towards the scene\n"
+                                  "right drag: look around\nctrl wheel: zoom\nHome: back to the start"
+                                : "drag: along the cameras' plane\nctrl wheel: zoom\n"
+                                  "Home: back to the start\n"
+                                  "(without metres only on their plane)");
   ImGui::End();
   return changed;
 }
@@ -297,7 +335,10 @@ bool Viewer::mouse(float width, float height) {
   const bool moves = moved.x != 0 || moved.y != 0;
   bool changed = false;
   if (moves && ImGui::IsMouseDown(ImGuiMouseButton_Left)) {
-    drag(state_, reach, moved.x / width, moved.y / height);
+    if (io.KeyShift)
+      step_along_z(state_, reach, -kClicksPerHeight * moved.y / height);
+    else
+      drag(state_, reach, moved.x / width, moved.y / height);
     changed = true;
   }
   if (moves && ImGui::IsMouseDown(ImGuiMouseButton_Right)) {
@@ -344,16 +385,12 @@ bool Viewer::picture_area() {
 }  // namespace
 
 void run_viewer(const LightFieldReader& reader, const ViewerState& start, const ViewerRun& run) {
-  const LightField& lf = reader.light_field();
-  const double scale =
-      std::clamp(std::min(1400.0 / lf.width, 900.0 / lf.height), 0.0, std::max(1.0, 700.0 / lf.height));
-  const Window window("stuv view " + lf.folder.string(),
-                      kPanel_px + static_cast<int>(std::lround(scale * lf.width)),
-                      std::max(static_cast<int>(std::lround(scale * lf.height)), 720));
+  const Window window(reader.light_field());
   Viewer viewer(reader, start);
   int drawn = 0;
   while (!glfwWindowShouldClose(window.get())) {
-    glfwWaitEventsTimeout(0.015);
+    // At rest seldom: without a graphics card drawing the window takes time from rendering.
+    glfwWaitEventsTimeout(run.frames == 0 && viewer.complete() ? kResting_s : kWorking_s);
     ImGui_ImplOpenGL3_NewFrame();
     ImGui_ImplGlfw_NewFrame();
     ImGui::NewFrame();
@@ -371,6 +408,7 @@ void run_viewer(const LightFieldReader& reader, const ViewerState& start, const 
     glfwSwapBuffers(window.get());
     if (last) break;
   }
+  if (run.frames > 0 && !viewer.problem().empty()) throw std::runtime_error(viewer.problem());
 }
 
 }  // namespace stuv

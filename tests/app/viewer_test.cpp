@@ -145,6 +145,11 @@ TEST_CASE("viewer: of requests that wait the newest is rendered, the picture of 
       off = std::max<double>(off, std::abs(same.colour.data[i] - exact.view.colour.data[i]));
     CHECK(off < 0.02);
   }
+  // A method that was left is made anew.
+  state.method = Method::fast;
+  state.backend = Backend::cpu;
+  worker.submit({state, 4});
+  CHECK(wait_for(worker).view.colour.width == 40);
   // What cannot be rendered is said, and the next picture comes all the same.
   state.options.planes = 0;
   worker.submit({state, 1});
@@ -164,6 +169,21 @@ TEST_CASE("stuv view: without a display one line says what to do") {
   CHECK(line_count(said) == 1);
   CHECK(said.find("xvfb-run") != std::string::npos);
   CHECK(run_stuv("view " + lf.folder.string() + " --method fast --backend gl").exit_code == 2);
+}
+
+TEST_CASE("stuv view: a picture that cannot be made is an error once the window closes by itself") {
+  if (std::system("command -v xvfb-run >/dev/null") != 0) STUV_SKIP("no xvfb-run");
+  const TempFolder folder;
+  const LightField lf = write_scene(folder / "scene", PixelType::u8, true);
+  // Mesa then has OpenGL 3.3 for the window, and no 4.5 for the renderer. xvfb-run has one stream for both.
+  const std::string line = "MESA_GL_VERSION_OVERRIDE=3.3 timeout 100 xvfb-run -a -e /dev/null " +
+                           std::string(STUV_PROGRAM) + " view " + lf.folder.string() +
+                           "/ --disparity 0,4 --method exact --backend gl --frames 2 >" +
+                           (folder / "said").string() + " 2>&1";
+  CHECK(WEXITSTATUS(std::system(line.c_str())) == 1);
+  const std::string said = read_text(folder / "said");
+  INFO(said);
+  CHECK(said.find("--backend cpu") != std::string::npos);
 }
 
 TEST_CASE("stuv view: opens under Xvfb and shows the picture beside its switches") {
