@@ -79,6 +79,8 @@ class Window {
     }
     glfwMakeContextCurrent(window_);
     glfwSwapInterval(1);
+    // A key that is pressed and let go between two frames counts; Dear ImGui 1.86 misses it.
+    glfwSetInputMode(window_, GLFW_STICKY_KEYS, GLFW_TRUE);
     ImGui::CreateContext();
     ImGui::GetIO().IniFilename = nullptr;
     ImGui::StyleColorsDark();
@@ -306,7 +308,8 @@ bool Viewer::panel() {
   else
     ImGui::TextWrapped("%s", problem_.c_str());
   ImGui::Separator();
-  const bool home = !ImGui::GetIO().WantTextInput && ImGui::IsKeyPressed(ImGui::GetKeyIndex(ImGuiKey_Home));
+  const bool home =
+      !ImGui::GetIO().WantTextInput && glfwGetKey(glfwGetCurrentContext(), GLFW_KEY_HOME) == GLFW_PRESS;
   if (ImGui::Button("Back to the start") || home) {
     state_ = start_;
     changed = true;
