@@ -47,6 +47,7 @@ struct StoredView {
 struct PixelRect {
   int x0 = 0, y0 = 0, x1 = 0, y1 = 0;
   bool empty() const { return x0 >= x1 || y0 >= y1; }
+  bool operator==(const PixelRect&) const = default;
 };
 
 /// Pixels of the input views, read from disk where a ray first needs them and kept within a budget: what was

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <mutex>
 #include <optional>
 
 #include "core/parallel.h"
@@ -43,7 +44,7 @@ constexpr std::size_t kGreyBudget = std::size_t{96} << 20, kCoarseBudget = std::
 constexpr int kPlaneStep = 2;
 /// Of costs between the best and the mean of a coarse pixel, those that are as good as the best; and of full
 /// scale.
-constexpr float kEnough = 0.02F, kNoise = 0.035F / 255;
+constexpr float kEnough = 0.02F, kNoise = 0.02F / 255;
 
 /// Tiles whose expectations were carried over at this part of their coarse pixels at least.
 constexpr double kLeastKnown = 0.9;
@@ -242,6 +243,8 @@ RenderedView FastRenderer::all_in_focus(const Viewpoint& view, const RenderOptio
   const Sweep grey_sweep(grey ? grey_store_ : store_, lattice_, view, options, windows);
   RenderedView out = empty_picture(view, store_.views().lf.channels);
   std::vector<RowWork> work(static_cast<std::size_t>(tiles.rows));
+  std::mutex reporting;
+  std::size_t done = 0;
   parallel_for(tiles.rows, [&](int row) {
     const PixelRect rect{0, row * TilePlan::kTile, view.width,
                          std::min((row + 1) * TilePlan::kTile, view.height)};
@@ -251,8 +254,9 @@ RenderedView FastRenderer::all_in_focus(const Viewpoint& view, const RenderOptio
       SweepBlock(colour_sweep, rect, SweepBlock::Purpose::colour).write(out, block);
     else
       block.write(out);
+    const std::lock_guard lock(reporting);
+    reporter.at("rows of tiles", ++done, work.size());
   });
-  reporter.at("rows of tiles", work.size(), work.size());
 
   fill_statistics(out, options, tiles, work);
   const double pixels = static_cast<double>(view.width) * view.height;

@@ -118,6 +118,7 @@ SweepBlock::SweepBlock(const Sweep& sweep, const PixelRect& rect, Purpose purpos
     E0_.resize(padded_size_);
     sum_.resize(size);
     count_.resize(size);
+    inverse_.resize(size);
   }
   E_min_.assign(size, kInfinity);
   E_sum_.assign(size, 0.0F);
@@ -262,11 +263,19 @@ void SweepBlock::fill_shift_job(const PixelRect& part) {
   const auto add = [&](std::size_t i, double w1, double w2) {
     const Shift& s = shifts_[i];
     const StoredView& view = *views_[i];
-    ShiftTap tap{&view, static_cast<std::ptrdiff_t>(s.dy) * view.width + s.dx, {}, {}, s.ay > 0, s.ax > 0};
-    const double bilinear[] = {(1 - s.ax) * (1 - s.ay), s.ax * (1 - s.ay), (1 - s.ax) * s.ay, s.ax * s.ay};
-    for (int q = 0; q < 4; ++q) {
-      tap.w1[q] = static_cast<float>(w1 * bilinear[q] * sweep_.scale);
-      tap.w2[q] = static_cast<float>(w2 * bilinear[q] * sweep_.scale);
+    ShiftTap tap;
+    tap.view = &view;
+    tap.offset = static_cast<std::ptrdiff_t>(s.dy) * view.width + s.dx;
+    tap.ax = s.ax;
+    const auto right = static_cast<std::int32_t>(
+        std::clamp(std::lround(s.ax / ShiftTap::kFixedUnit), 1L, std::lround(1 / ShiftTap::kFixedUnit) - 1));
+    tap.fixed_weights = (std::lround(1 / ShiftTap::kFixedUnit) - right) | (right << 16);
+    tap.two_rows = s.ay > 0;
+    tap.two_columns = s.ax > 0;
+    const double rows[] = {1 - s.ay, s.ay};
+    for (int q = 0; q < 2; ++q) {
+      tap.w1[q] = static_cast<float>(w1 * rows[q] * sweep_.scale);
+      tap.w2[q] = static_cast<float>(w2 * rows[q] * sweep_.scale);
     }
     shift_job_.taps.push_back(tap);
   };
@@ -533,18 +542,28 @@ PixelRect SweepBlock::halo_of(int x0, int x1) const {
   return intersection({x0 - margin, padded_.y0, x1 + margin, padded_.y1}, halo_);
 }
 
-/// count_: the pixels of each window that lie in `halo`.
-void SweepBlock::count_inside(const PixelRect& halo, int x0, int x1) {
+/// inverse_: 1 / the pixels of each window that lie in `halo`.
+void SweepBlock::invert_counts(const PixelRect& halo, int x0, int x1) {
+  if (inverted_halo_ == halo && inverted_x0_ == x0 && inverted_x1_ == x1) return;
+  inverted_halo_ = halo;
+  inverted_x0_ = x0;
+  inverted_x1_ = x1;
   const auto inside = [](int at, int M, int low, int high) {
     return std::min(at + M, high - 1) - std::max(at - M, low) + 1;
   };
-  std::vector<float> columns(static_cast<std::size_t>(x1 - x0));
-  for (int x = x0; x < x1; ++x)
-    columns[static_cast<std::size_t>(x - x0)] = static_cast<float>(inside(x, sweep_.M_x, halo.x0, halo.x1));
+  int last = 0;
+  const float* before = nullptr;
   for (int y = rect_.y0; y < rect_.y1; ++y) {
-    const auto rows = static_cast<float>(inside(y, sweep_.M_y, halo.y0, halo.y1));
-    float* count = count_.data() + static_cast<std::size_t>(y - rect_.y0) * stride_ + (x0 - rect_.x0);
-    for (std::size_t x = 0; x < columns.size(); ++x) count[x] = rows * columns[x];
+    float* inverse = inverse_.data() + static_cast<std::size_t>(y - rect_.y0) * stride_ + (x0 - rect_.x0);
+    const int rows = inside(y, sweep_.M_y, halo.y0, halo.y1);
+    if (rows == last) {
+      std::copy_n(before, x1 - x0, inverse);
+    } else {
+      for (int x = x0; x < x1; ++x)
+        inverse[x - x0] = 1 / static_cast<float>(rows * inside(x, sweep_.M_x, halo.x0, halo.x1));
+    }
+    last = rows;
+    before = inverse;
   }
 }
 
@@ -553,14 +572,15 @@ void SweepBlock::evaluate(int n, int x0, int x1) {
   const PixelRect padded{x0 - M_x, padded_.y0, x1 + M_x, padded_.y1};
   const PixelRect halo = halo_of(x0, x1);
   const int width = x1 - x0, height = rect_.y1 - rect_.y0;
-  const bool everywhere =
+  defined_everywhere_ =
       by_shift_ ? difference_by_shift(n, halo, sweep_.pair_weights()) : difference_by_warp(n, halo);
   clear_outside(E0_, padded, halo);
   const std::size_t first = static_cast<std::size_t>(x0 - rect_.x0);
   kernels::box_sum(E0_at(padded.x0, padded.y0), stride_, width, height, M_x, M_y, sum_.data() + first,
                    stride_, scratch_);
-  if (everywhere) {
-    count_inside(halo, x0, x1);
+  multiply_adds_ += kernels::multiply_adds_of_window(M_x, M_y) * width * height;
+  if (defined_everywhere_) {
+    invert_counts(halo, x0, x1);
   } else {
     clear_outside(defined_, padded, halo);
     kernels::box_sum(defined_.data() + index_of(padded.x0, padded.y0), stride_, width, height, M_x, M_y,
@@ -568,9 +588,13 @@ void SweepBlock::evaluate(int n, int x0, int x1) {
   }
   for (int y = 0; y < height; ++y) {
     const std::size_t at = static_cast<std::size_t>(y) * stride_ + first;
-    kernels::add_plane({E_min_.data() + at, plane_.data() + at, E_sum_.data() + at, E_count_.data() + at}, n,
-                       width, sum_.data() + at, count_.data() + at,
-                       everywhere ? nullptr : candidate_.data() + index_of(x0, rect_.y0 + y), sweep_.tie);
+    const kernels::MinimumRow best{E_min_.data() + at, plane_.data() + at, E_sum_.data() + at,
+                                   E_count_.data() + at};
+    if (defined_everywhere_)
+      kernels::add_plane(best, n, width, sum_.data() + at, inverse_.data() + at, sweep_.tie);
+    else
+      kernels::add_part_plane(best, n, width, sum_.data() + at, count_.data() + at,
+                              candidate_.data() + index_of(x0, rect_.y0 + y), sweep_.tie);
   }
 }
 
@@ -591,11 +615,11 @@ bool SweepBlock::ruled_out(int n, int x0, int x1) {
   const std::size_t first = static_cast<std::size_t>(x0 - rect_.x0);
   kernels::box_sum(E0_at(padded.x0, padded.y0), stride_, width, height, M_x, M_y, sum_.data() + first,
                    stride_, scratch_);
-  count_inside(halo, x0, x1);
+  invert_counts(halo, x0, x1);
   for (int y = 0; y < height; ++y) {
     const std::size_t at = static_cast<std::size_t>(y) * stride_ + first;
     for (std::size_t x = at; x < at + static_cast<std::size_t>(width); ++x)
-      if (sum_[x] < (E_min_[x] + sweep_.tie) * count_[x]) return false;
+      if (sum_[x] * inverse_[x] < E_min_[x] + sweep_.tie) return false;
   }
   return true;
 }

@@ -94,6 +94,7 @@ class SweepBlock {
   float last_cost(int x, int y) const {
     const std::size_t i =
         static_cast<std::size_t>(y - rect_.y0) * stride_ + static_cast<std::size_t>(x - rect_.x0);
+    if (defined_everywhere_) return sum_[i] * inverse_[i];
     return count_[i] > 0 ? sum_[i] / count_[i] : std::numeric_limits<float>::infinity();
   }
   /// Cameras, by number, that have a part in the block.
@@ -120,7 +121,7 @@ class SweepBlock {
   void find_shifts(int n);
   bool difference_by_shift(int n, const PixelRect& halo, const kernels::PairWeights& a);
   bool difference_by_warp(int n, const PixelRect& halo);
-  void count_inside(const PixelRect& halo, int x0, int x1);
+  void invert_counts(const PixelRect& halo, int x0, int x1);
   PixelRect halo_of(int x0, int x1) const;
   void clear_outside(std::vector<float>& raster, const PixelRect& padded, const PixelRect& halo);
   void fill_shift_job(const PixelRect& part);
@@ -159,8 +160,11 @@ class SweepBlock {
   bool warp_ready_ = false;
   std::vector<kernels::WarpMap> maps_;  ///< [plane][camera]
   std::vector<float> gx_, gy_, weights_;
-  std::vector<float> E0_, defined_, candidate_, sum_, count_, E_min_, E_sum_, E_count_, scratch_;
+  std::vector<float> E0_, defined_, candidate_, sum_, count_, inverse_, E_min_, E_sum_, E_count_, scratch_;
   std::vector<std::int32_t> plane_;
+  PixelRect inverted_halo_;  ///< what inverse_ is of
+  int inverted_x0_ = 0, inverted_x1_ = 0;
+  bool defined_everywhere_ = false;  ///< equation 5 of the plane evaluated last
   double multiply_adds_ = 0;
 };
 

@@ -1,6 +1,7 @@
 #include "render/cpu/sweep_kernels.h"
 
 #include <algorithm>
+#include <bit>
 #include <chrono>
 #include <cmath>
 #include <vector>
@@ -42,29 +43,84 @@ HWY_INLINE V load(const T* p) {
 /// Output rows at a time: as many as the registers hold.
 constexpr int kRows = HWY_TARGET == HWY_AVX3 || HWY_TARGET == HWY_NEON ? 8 : 4;
 
-/// Adds R output rows of one tap: row r of the picture is the upper row of output r and the lower one of r
-/// - 1.
+/// Bilinear blend along a row: a vector of pixels from where p points, times `unit`.
+template <class T>
+struct AlongRow {
+  static constexpr float unit = 1;
+  explicit AlongRow(const ShiftTap& tap) : left(hn::Set(d, 1 - tap.ax)), right(hn::Set(d, tap.ax)) {}
+  HWY_INLINE V operator()(const T* p) const { return hn::MulAdd(right, load(p + 1), hn::Mul(left, load(p))); }
+
+  V left, right;
+};
+
+#if HWY_TARGET != HWY_SCALAR
+/// Of bytes in integers: both weights of a pixel in one multiplication, and one conversion. The weights have
+/// 15 bits, a 32,768th of a pixel; the products are exact.
+template <>
+struct AlongRow<std::uint8_t> {
+  static constexpr float unit = ShiftTap::kFixedUnit;
+  using D8 = hn::Repartition<std::uint8_t, D>;
+  using D16 = hn::Repartition<std::int16_t, D>;
+
+  explicit AlongRow(const ShiftTap& tap) : weights(hn::BitCast(D16(), hn::Set(di, tap.fixed_weights))) {
+    alignas(64) std::uint8_t pair[64];
+    for (std::size_t i = 0; i < hn::Lanes(D8()); ++i) {
+      // 16 bits a byte, the pixel and its neighbour; each 128 bits look up in themselves.
+      const std::size_t at = i / 4 % (kWide ? 4 : 16) + i % 4 / 2;
+      pair[i] = static_cast<std::uint8_t>(i % 2 == 1 ? 0x80 : at);
+    }
+    pairs = hn::Load(D8(), pair);
+    if constexpr (kWide) {
+      alignas(64) std::int32_t quad[16];
+      for (int i = 0; i < 16; ++i) quad[i] = i / 4 + i % 4 % 2;
+      quads = hn::Load(di, quad);
+    }
+  }
+  HWY_INLINE V operator()(const std::uint8_t* p) const {
+    hn::Vec<D8> bytes;
+    if constexpr (kWide) {
+      const hn::Half<D8> half;
+      const VI sixteen = hn::BitCast(di, hn::ZeroExtendVector(D8(), hn::LoadU(half, p)));
+      bytes = hn::BitCast(D8(), hn::TableLookupLanes(sixteen, hn::IndicesFromVec(di, quads)));
+    } else {
+      bytes = hn::LoadDup128(D8(), p);
+    }
+    const auto values = hn::BitCast(D16(), hn::TableLookupBytesOr0(bytes, pairs));
+    VI odd = hn::Zero(di);
+    const VI even = hn::ReorderWidenMulAccumulate(di, values, weights, hn::Zero(di), odd);
+    return hn::ConvertTo(d, hn::RearrangeToOddPlusEven(even, odd));
+  }
+
+  /// 16 pixels and a neighbour are more than 128 bits.
+  static constexpr bool kWide = HWY_TARGET == HWY_AVX3;
+  hn::Vec<D16> weights;
+  hn::Vec<D8> pairs;
+  VI quads;
+};
+#endif
+
+/// Adds R output rows of one tap: row r of the picture is the upper row of output r and the lower one of
+/// r - 1.
 template <class T, int R, bool second, bool two_rows, bool two_columns>
 HWY_INLINE void add_tap(const T* HWY_RESTRICT p, std::size_t stride, const ShiftTap& tap, V* a1, V* a2) {
-  V w1[4], w2[4];
-#pragma GCC unroll 4
-  for (int k = 0; k < 4; ++k) {
-    w1[k] = hn::Set(d, tap.w1[k]);
-    w2[k] = hn::Set(d, tap.w2[k]);
-  }
+  const float scale = two_columns ? AlongRow<T>::unit : 1.0F;
+  const V upper1 = hn::Set(d, tap.w1[0] * scale), lower1 = hn::Set(d, tap.w1[1] * scale);
+  const V upper2 = hn::Set(d, tap.w2[0] * scale), lower2 = hn::Set(d, tap.w2[1] * scale);
+  const AlongRow<T> along_row(tap);
 #pragma GCC unroll 16
   for (int r = 0; r < R + (two_rows ? 1 : 0); ++r) {
-#pragma GCC unroll 2
-    for (int right = 0; right < (two_columns ? 2 : 1); ++right) {
-      const V row = load(p + r * stride + right);
-      if (r < R) {
-        a1[r] = hn::MulAdd(w1[right], row, a1[r]);
-        if constexpr (second) a2[r] = hn::MulAdd(w2[right], row, a2[r]);
-      }
-      if (two_rows && r > 0) {
-        a1[r - 1] = hn::MulAdd(w1[2 + right], row, a1[r - 1]);
-        if constexpr (second) a2[r - 1] = hn::MulAdd(w2[2 + right], row, a2[r - 1]);
-      }
+    V row;
+    if constexpr (two_columns)
+      row = along_row(p + r * stride);
+    else
+      row = load(p + r * stride);
+    if (r < R) {
+      a1[r] = hn::MulAdd(upper1, row, a1[r]);
+      if constexpr (second) a2[r] = hn::MulAdd(upper2, row, a2[r]);
+    }
+    if (two_rows && r > 0) {
+      a1[r - 1] = hn::MulAdd(lower1, row, a1[r - 1]);
+      if constexpr (second) a2[r - 1] = hn::MulAdd(lower2, row, a2[r - 1]);
     }
   }
 }
@@ -632,13 +688,58 @@ HWY_INLINE void by_doubling(int length, const Add& add, const Double& doubles) {
   }
 }
 
-/// out[i] = sum of in[i + k * step], k < length, count values (rounded up to vectors).
-HWY_INLINE void sum_row(const float* in, std::size_t step, int length, float* out, int count) {
+/// out[i] = sum of in[i + k], k < length, count values (rounded up to vectors).
+HWY_INLINE void sum_row(const float* in, int length, float* out, int count) {
   for (int i = 0; i < count; i += static_cast<int>(hn::Lanes(d))) {
     V sum = hn::LoadU(d, in + i);
-    for (int k = 1; k < length; ++k) sum = hn::Add(sum, hn::LoadU(d, in + i + k * step));
+    for (int k = 1; k < length; ++k) sum = hn::Add(sum, hn::LoadU(d, in + i + k));
     hn::StoreU(sum, d, out + i);
   }
+}
+
+/// R outputs of sums of L values, L odd and below 10: pairs, and pairs of pairs, serve several sums. Each sum
+/// is made in the same order, whatever R.
+template <int L, int R>
+HWY_INLINE void sums_of(const V* v, V* sum) {
+  V two[R + L - 2], four[R + L];
+#pragma GCC unroll 16
+  for (int i = 0; i < R + L - 2; ++i) two[i] = hn::Add(v[i], v[i + 1]);
+  if constexpr (L >= 5) {
+#pragma GCC unroll 16
+    for (int i = 0; i < R + L - 4; ++i) four[i] = hn::Add(two[i], two[i + 2]);
+  }
+#pragma GCC unroll 16
+  for (int r = 0; r < R; ++r) {
+    if constexpr (L == 3) sum[r] = hn::Add(two[r], v[r + 2]);
+    if constexpr (L == 5) sum[r] = hn::Add(four[r], v[r + 4]);
+    if constexpr (L == 7) sum[r] = hn::Add(hn::Add(four[r], two[r + 4]), v[r + 6]);
+    if constexpr (L == 9) sum[r] = hn::Add(hn::Add(four[r], four[r + 4]), v[r + 8]);
+  }
+}
+
+template <int L, int R>
+HWY_INLINE void sum_down_rows(const float* in, std::size_t in_stride, int width, float* out,
+                              std::size_t out_stride) {
+  for (int x = 0; x < width; x += static_cast<int>(hn::Lanes(d))) {
+    V v[R + L - 1], sum[R];
+#pragma GCC unroll 16
+    for (int i = 0; i < R + L - 1; ++i) v[i] = hn::LoadU(d, in + i * in_stride + x);
+    sums_of<L, R>(v, sum);
+#pragma GCC unroll 16
+    for (int r = 0; r < R; ++r) hn::StoreU(sum[r], d, out + r * out_stride + x);
+  }
+}
+
+/// out(x, y) = sum of in(x, y + k), k < L.
+template <int L>
+void sum_down(const float* in, std::size_t in_stride, int width, int height, float* out,
+              std::size_t out_stride) {
+  constexpr int R = kRows;
+  int y = 0;
+  for (; y + R <= height; y += R)
+    sum_down_rows<L, R>(in + y * in_stride, in_stride, width, out + y * out_stride, out_stride);
+  for (; y < height; ++y)
+    sum_down_rows<L, 1>(in + y * in_stride, in_stride, width, out + y * out_stride, out_stride);
 }
 
 /// Windows up to this M are summed one by one: the values are then read from the nearest cache, and nothing
@@ -653,7 +754,7 @@ void BoxSum(float* in, std::size_t in_stride, int width, int height, int M_x, in
   for (int y = 0; y < rows; ++y) {
     float* row = in + static_cast<std::size_t>(y) * in_stride;
     if (M_x < kLeastDoubled) {
-      sum_row(row, 1, 2 * M_x + 1, row, width);  // writes where it has read already
+      sum_row(row, 2 * M_x + 1, row, width);  // writes where it has read already
       continue;
     }
     std::fill_n(sum, width, 0.0F);
@@ -662,12 +763,10 @@ void BoxSum(float* in, std::size_t in_stride, int width, int height, int M_x, in
         [&](int have) { add_row(row + have, row, cols - have); });
     std::copy_n(sum, width, row);
   }
-  if (M_y < kLeastDoubled) {
-    for (int y = 0; y < height; ++y)
-      sum_row(in + static_cast<std::size_t>(y) * in_stride, in_stride, 2 * M_y + 1,
-              out + static_cast<std::size_t>(y) * out_stride, width);
-    return;
-  }
+  if (M_y == 1) return sum_down<3>(in, in_stride, width, height, out, out_stride);
+  if (M_y == 2) return sum_down<5>(in, in_stride, width, height, out, out_stride);
+  if (M_y == 3) return sum_down<7>(in, in_stride, width, height, out, out_stride);
+  if (M_y == 4) return sum_down<9>(in, in_stride, width, height, out, out_stride);
   for (int y = 0; y < height; ++y) std::fill_n(out + static_cast<std::size_t>(y) * out_stride, width, 0.0F);
   int have_rows = rows;
   by_doubling(
@@ -685,31 +784,45 @@ void BoxSum(float* in, std::size_t in_stride, int width, int height, int M_x, in
       });
 }
 
-void AddPlane(const MinimumRow& best, int n, int width, const float* sum, const float* count,
-              const float* candidate, float tie) {
+/// Adds the costs e of plane `number` to a vector of pixels: where `valid` it is a candidate, where `defined`
+/// it has a cost.
+HWY_INLINE void add_costs(const MinimumRow& best, int i, VI number, V e, M valid, M defined, V margin) {
+  const V E_min = hn::LoadU(d, best.E_min + i);
+  const VI plane = hn::LoadU(di, best.plane + i);
+  const M none = hn::RebindMask(d, hn::Lt(plane, hn::Zero(di)));
+  // Clearly smaller, or equal and farther.
+  const M farther = hn::RebindMask(d, hn::Lt(number, plane));
+  const M smaller = hn::Lt(hn::Add(e, margin), E_min);
+  const M equal = hn::And(farther, hn::Le(e, hn::Add(E_min, margin)));
+  const M better = hn::And(valid, hn::Or(none, hn::Or(smaller, equal)));
+  hn::StoreU(hn::IfThenElse(better, e, E_min), d, best.E_min + i);
+  hn::StoreU(hn::IfThenElse(hn::RebindMask(di, better), number, plane), di, best.plane + i);
+  const V E_sum = hn::LoadU(d, best.E_sum + i), E_count = hn::LoadU(d, best.E_count + i);
+  hn::StoreU(hn::Add(E_sum, hn::IfThenElseZero(defined, e)), d, best.E_sum + i);
+  hn::StoreU(hn::Add(E_count, hn::IfThenElseZero(defined, hn::Set(d, 1))), d, best.E_count + i);
+}
+
+void AddPlane(const MinimumRow& best, int n, int width, const float* sum, const float* inverse, float tie) {
+  const V margin = hn::Set(d, tie);
+  const VI number = hn::Set(di, n);
+  for (int i = 0; i < width; i += static_cast<int>(hn::Lanes(d))) {
+    const M here = hn::FirstN(d, static_cast<std::size_t>(width - i));
+    const V e = hn::Mul(hn::LoadU(d, sum + i), hn::LoadU(d, inverse + i));
+    add_costs(best, i, number, e, here, here, margin);
+  }
+}
+
+void AddPartPlane(const MinimumRow& best, int n, int width, const float* sum, const float* count,
+                  const float* candidate, float tie) {
   const V infinity = hn::Inf(d), zero = hn::Zero(d), margin = hn::Set(d, tie);
   const VI number = hn::Set(di, n);
-  const int lanes = static_cast<int>(hn::Lanes(d));
-  for (int i = 0; i < width; i += lanes) {
-    const auto here = hn::FirstN(d, static_cast<std::size_t>(width - i));
+  for (int i = 0; i < width; i += static_cast<int>(hn::Lanes(d))) {
+    const M here = hn::FirstN(d, static_cast<std::size_t>(width - i));
     const V c = hn::LoadU(d, count + i);
-    M valid = here;
-    if (candidate != nullptr) valid = hn::And(valid, hn::Gt(hn::LoadU(d, candidate + i), zero));
+    const M valid = hn::And(here, hn::Gt(hn::LoadU(d, candidate + i), zero));
     const M defined = hn::And(valid, hn::Gt(c, zero));
     const V e = hn::IfThenElse(defined, hn::Div(hn::LoadU(d, sum + i), c), infinity);
-    const V E_min = hn::LoadU(d, best.E_min + i);
-    const VI plane = hn::LoadU(di, best.plane + i);
-    const M none = hn::RebindMask(d, hn::Lt(plane, hn::Zero(di)));
-    // Clearly smaller, or equal and farther.
-    const M farther = hn::RebindMask(d, hn::Lt(number, plane));
-    const M smaller = hn::Lt(hn::Add(e, margin), E_min);
-    const M equal = hn::And(farther, hn::Le(e, hn::Add(E_min, margin)));
-    const M better = hn::And(valid, hn::Or(none, hn::Or(smaller, equal)));
-    hn::StoreU(hn::IfThenElse(better, e, E_min), d, best.E_min + i);
-    hn::StoreU(hn::IfThenElse(hn::RebindMask(di, better), number, plane), di, best.plane + i);
-    const V E_sum = hn::LoadU(d, best.E_sum + i), E_count = hn::LoadU(d, best.E_count + i);
-    hn::StoreU(hn::Add(E_sum, hn::IfThenElseZero(defined, e)), d, best.E_sum + i);
-    hn::StoreU(hn::Add(E_count, hn::IfThenElseZero(defined, hn::Set(d, 1))), d, best.E_count + i);
+    add_costs(best, i, number, e, valid, defined, margin);
   }
 }
 
@@ -750,14 +863,23 @@ HWY_EXPORT(WarpColour);
 HWY_EXPORT(ShiftColour);
 HWY_EXPORT(BoxSum);
 HWY_EXPORT(AddPlane);
+HWY_EXPORT(AddPartPlane);
 HWY_EXPORT(TargetName);
 HWY_EXPORT(MeasureMultiplyAdds);
 
 double multiply_adds(const ShiftJob& job) {
   double count = 0;
   for (std::size_t t = 0; t < job.taps.size(); ++t)
-    count += (job.taps[t].two_rows ? 2 : 1) * (job.taps[t].two_columns ? 2 : 1) * (t < job.in_second ? 2 : 1);
+    count += (job.taps[t].two_columns ? 2 : 0) + (job.taps[t].two_rows ? 2 : 1) * (t < job.in_second ? 2 : 1);
+  // The weighted differences, and their sum over the channels.
+  count += job.a.a12 != 0 ? 5 : 3;
   return count * job.channels;
+}
+
+double multiply_adds_of_window(int M_x, int M_y) {
+  const auto additions = [](int M) { return std::bit_width(2U * M + 1) + std::popcount(2U * M + 1) - 2; };
+  // The mean, two comparisons, and the sums for the confidence.
+  return additions(M_x) + additions(M_y) + 6;
 }
 
 void shift_difference(const ShiftJob& job, int x, int y, int width, int height, float* E0,
@@ -780,9 +902,12 @@ void box_sum(float* in, std::size_t in_stride, int width, int height, int M_x, i
              std::size_t out_stride, std::vector<float>& scratch) {
   HWY_DYNAMIC_DISPATCH(BoxSum)(in, in_stride, width, height, M_x, M_y, out, out_stride, scratch);
 }
-void add_plane(const MinimumRow& best, int n, int width, const float* sum, const float* count,
-               const float* candidate, float tie) {
-  HWY_DYNAMIC_DISPATCH(AddPlane)(best, n, width, sum, count, candidate, tie);
+void add_plane(const MinimumRow& best, int n, int width, const float* sum, const float* inverse, float tie) {
+  HWY_DYNAMIC_DISPATCH(AddPlane)(best, n, width, sum, inverse, tie);
+}
+void add_part_plane(const MinimumRow& best, int n, int width, const float* sum, const float* count,
+                    const float* candidate, float tie) {
+  HWY_DYNAMIC_DISPATCH(AddPartPlane)(best, n, width, sum, count, candidate, tie);
 }
 const char* target_name() { return HWY_DYNAMIC_DISPATCH(TargetName)(); }
 double measure_multiply_adds(double seconds) { return HWY_DYNAMIC_DISPATCH(MeasureMultiplyAdds)(seconds); }

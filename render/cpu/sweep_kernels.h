@@ -24,8 +24,11 @@ struct PairWeights {
 struct ShiftTap {
   const StoredView* view = nullptr;
   std::ptrdiff_t offset = 0;  ///< samples from the output pixel's (x, y) to the upper left tap
-  /// Upper left, upper right, lower left, lower right.
-  float w1[4] = {0, 0, 0, 0}, w2[4] = {0, 0, 0, 0};
+  /// One of the weights of a row, which are 16-bit integers: left in the lower, right in the upper half.
+  static constexpr float kFixedUnit = 1.0F / 32768;
+  float ax = 0;  ///< share of the right taps
+  std::int32_t fixed_weights = 0;
+  float w1[2] = {0, 0}, w2[2] = {0, 0};      ///< of the upper and the lower row
   bool two_rows = true, two_columns = true;  ///< false: the neighbour, of weight 0, may not be there
 };
 
@@ -37,8 +40,10 @@ struct ShiftJob {
   std::size_t in_second = 0;  ///< the taps before it have a part in D_2
 };
 
-/// Multiply-adds a pixel that a job needs, for the benchmark.
+/// Arithmetic that a pixel needs, for the benchmark: multiply-adds, additions and comparisons, each counted
+/// once. Equation 5; equations 6 and 7.
 double multiply_adds(const ShiftJob& job);
+double multiply_adds_of_window(int M_x, int M_y);
 
 /// Equation 5 on output pixels [x, x + width) x [y, y + height). E0 points at (x, y); up to 64 values behind
 /// the end of each row are overwritten.
@@ -129,10 +134,12 @@ struct MinimumRow {
   float *E_sum, *E_count;  ///< start at 0
 };
 
-/// Adds plane n. E = sum / count, undefined where count is 0; `candidate` null: all are. Of costs that differ
-/// by no more than `tie` the earlier one stays.
-void add_plane(const MinimumRow& best, int n, int width, const float* sum, const float* count,
-               const float* candidate, float tie);
+/// Adds plane n of cost E = sum * inverse. Of costs that differ by no more than `tie` the earlier one stays.
+void add_plane(const MinimumRow& best, int n, int width, const float* sum, const float* inverse, float tie);
+
+/// Adds plane n where `candidate` is 1. E = sum / count, undefined where count is 0.
+void add_part_plane(const MinimumRow& best, int n, int width, const float* sum, const float* count,
+                    const float* candidate, float tie);
 
 /// Name of the instruction set in use.
 const char* target_name();

@@ -9,9 +9,8 @@ namespace stuv {
 namespace {
 
 constexpr int kCell = TilePlan::kTile / kCoarse;  ///< coarse pixels a tile
-/// Coarse pixels around a tile that have a say, beside the window's reach; planes taken beside each that is
-/// chosen.
-constexpr int kReach = 2, kNeighbours = 1;
+/// Coarse pixels around a tile that have a say, beside the window's reach.
+constexpr int kReach = 2;
 
 /// Coarse pixels that decide about a tile.
 PixelRect cells_of(const Expectation& expected, const RenderOptions& options, int row, int col) {
@@ -21,12 +20,35 @@ PixelRect cells_of(const Expectation& expected, const RenderOptions& options, in
           std::min((row + 1) * kCell + reach, expected.plane.height)};
 }
 
+/// A neighbour of a chosen plane is evaluated if it looks better than the other one at more than this part of
+/// the pixels.
+constexpr float kLeastVote = 0.1F;
+
+struct CoarsePlane {
+  int plane = 0;
+  bool farther = true, nearer = true;  ///< neighbours to evaluate too
+};
+
 /// Scratch of covering_planes, kept from tile to tile.
 struct Cover {
   std::vector<std::uint8_t> good;  ///< [coarse plane][pixel]
   std::vector<std::uint8_t> open;  ///< pixels without a plane
-  std::vector<int> chosen;
+  std::vector<int> most;           ///< by coarse plane: open pixels that it covers, at most
+  std::vector<CoarsePlane> chosen;
 };
+
+/// Where each coarse plane is good enough: [coarse plane][pixel of the raster].
+std::vector<std::uint8_t> good_planes(const Expectation& expected) {
+  const std::size_t raster = expected.plane.data.size();
+  std::vector<std::uint8_t> good(expected.costs.size());
+  const Brief* enough = expected.enough.data.data();
+  parallel_for(expected.coarse_planes, [&](int k) {
+    const Brief* costs = expected.costs.data() + static_cast<std::size_t>(k) * raster;
+    std::uint8_t* out = good.data() + static_cast<std::size_t>(k) * raster;
+    for (std::size_t i = 0; i < raster; ++i) out[i] = costs[i] <= enough[i] ? 1 : 0;
+  });
+  return good;
+}
 
 int count_both(const std::uint8_t* a, const std::uint8_t* b, std::size_t size) {
   int sum = 0;
@@ -42,40 +64,64 @@ int count_both(const std::uint8_t* a, const std::uint8_t* b, std::size_t size) {
   return sum;
 }
 
+/// Which neighbours of a coarse plane look better at the pixels that it covers first.
+CoarsePlane with_neighbours(const Expectation& expected, const PixelRect& cells, const Cover& cover,
+                            std::size_t k, std::size_t size, int covered) {
+  CoarsePlane out{static_cast<int>(k) * expected.plane_step};
+  if (k == 0 || k + 1 == static_cast<std::size_t>(expected.coarse_planes)) return out;
+  const std::size_t raster = expected.plane.data.size();
+  int farther = 0, nearer = 0;
+  std::size_t i = 0;
+  for (int y = cells.y0; y < cells.y1; ++y)
+    for (int x = cells.x0; x < cells.x1; ++x, ++i) {
+      if ((cover.good[k * size + i] & cover.open[i]) == 0) continue;
+      const Brief* cost =
+          expected.costs.data() + k * raster + static_cast<std::size_t>(y) * expected.plane.width + x;
+      const Brief before = *(cost - raster), after = cost[raster];
+      farther += before <= after ? 1 : 0;
+      nearer += after <= before ? 1 : 0;
+    }
+  const float least = kLeastVote * static_cast<float>(covered);
+  out.farther = static_cast<float>(farther) > least;
+  out.nearer = static_cast<float>(nearer) > least;
+  return out;
+}
+
 /// The fewest planes, picked greedily, of which one is good enough for each pixel of `cells`.
-void covering_planes(const Expectation& expected, const PixelRect& cells, Cover& cover) {
+void covering_planes(const Expectation& expected, const std::vector<std::uint8_t>& good,
+                     const PixelRect& cells, Cover& cover) {
   const auto planes = static_cast<std::size_t>(expected.coarse_planes);
-  const auto area = static_cast<std::size_t>((cells.x1 - cells.x0) * (cells.y1 - cells.y0));
-  const std::size_t size = (area + 15) / 16 * 16;
+  const auto width = static_cast<std::size_t>(cells.x1 - cells.x0),
+             height = static_cast<std::size_t>(cells.y1 - cells.y0);
+  const std::size_t size = (width * height + 15) / 16 * 16, raster = expected.plane.data.size();
   cover.good.assign(planes * size, 0);
   cover.open.assign(size, 0);
   cover.chosen.clear();
-  const std::size_t width = static_cast<std::size_t>(cells.x1 - cells.x0),
-                    raster = expected.plane.data.size();
-  for (std::size_t y = 0; y < static_cast<std::size_t>(cells.y1 - cells.y0); ++y) {
+  for (std::size_t y = 0; y < height; ++y) {
     const std::size_t at =
         (y + static_cast<std::size_t>(cells.y0)) * expected.plane.width + static_cast<std::size_t>(cells.x0);
-    const Brief* enough = expected.enough.data.data() + at;
     for (std::size_t x = 0; x < width; ++x)
       cover.open[y * width + x] = expected.plane.data[at + x] >= 0 ? 1 : 0;
-    for (std::size_t k = 0; k < planes; ++k) {
-      const Brief* costs = expected.costs.data() + k * raster + at;
-      std::uint8_t* good = cover.good.data() + k * size + y * width;
-      for (std::size_t x = 0; x < width; ++x) good[x] = costs[x] <= enough[x] ? 1 : 0;
-    }
-  }
-  while (true) {
-    int most = 0;
-    std::size_t best = 0;
     for (std::size_t k = 0; k < planes; ++k)
-      if (const int count = count_both(cover.good.data() + k * size, cover.open.data(), size); count > most) {
-        most = count;
+      std::copy_n(good.data() + k * raster + at, width, cover.good.data() + k * size + y * width);
+  }
+  // What a plane adds only gets less as others are chosen: the last count is a bound.
+  cover.most.assign(planes, static_cast<int>(size));
+  while (true) {
+    std::size_t best = planes;
+    for (std::size_t counted = planes; best == planes;) {
+      const auto k = static_cast<std::size_t>(std::max_element(cover.most.begin(), cover.most.end()) -
+                                              cover.most.begin());
+      if (k == counted)
         best = k;
-      }
-    if (most == 0) return;
+      else
+        cover.most[k] = count_both(cover.good.data() + k * size, cover.open.data(), size);
+      counted = k;
+    }
+    if (cover.most[best] == 0) return;
+    cover.chosen.push_back(with_neighbours(expected, cells, cover, best, size, cover.most[best]));
     for (std::size_t i = 0; i < size; ++i)
       cover.open[i] = static_cast<std::uint8_t>(cover.open[i] & ~cover.good[best * size + i]);
-    cover.chosen.push_back(static_cast<int>(best) * expected.plane_step);
   }
 }
 
@@ -107,24 +153,26 @@ TilePlan plan_tiles(const Viewpoint& view, const RenderOptions& options, const E
   const auto planes = static_cast<std::size_t>(out.planes);
   out.wanted.assign(tiles * planes, 0);
   out.chosen.assign(tiles, -1);
+  const std::vector<std::uint8_t> good = good_planes(expected);
   parallel_for(out.rows, [&](int row) {
     Cover cover;
     for (int col = 0; col < out.cols; ++col) {
       const std::size_t tile = static_cast<std::size_t>(row) * out.cols + col;
       std::uint8_t* wanted = out.wanted.data() + tile * planes;
-      const auto mark = [&](int n) {
-        for (int k = std::max(n - kNeighbours, 0); k <= std::min(n + kNeighbours, out.planes - 1); ++k)
-          wanted[k] = 1;
+      const auto mark = [&](const CoarsePlane& n) {
+        const int first = std::max(n.farther ? n.plane - 1 : n.plane, 0),
+                  last = std::min(n.nearer ? n.plane + 1 : n.plane, out.planes - 1);
+        std::fill(wanted + first, wanted + last + 1, std::uint8_t{1});
       };
       const PixelRect cells = cells_of(expected, options, row, col);
       if (options.skips.flat_tiles) out.chosen[tile] = flat_plane(expected, cells, row, col);
       if (expected.costs.empty()) {
         for (int y = cells.y0; y < cells.y1; ++y)
           for (int x = cells.x0; x < cells.x1; ++x)
-            if (const int n = expected.plane.at(x, y); n >= 0) mark(n);
+            if (const int n = expected.plane.at(x, y); n >= 0) mark({n});
       } else {
-        covering_planes(expected, cells, cover);
-        for (const int n : cover.chosen) mark(n);
+        covering_planes(expected, good, cells, cover);
+        for (const CoarsePlane& n : cover.chosen) mark(n);
       }
       if (std::find(wanted, wanted + planes, std::uint8_t{1}) == wanted + planes)
         std::fill_n(wanted, planes, std::uint8_t{1});
