@@ -1,6 +1,7 @@
 #include <fmt/format.h>
 
 #include <chrono>
+#include <cmath>
 
 #include "app/commands.h"
 #include "app/console.h"
@@ -8,8 +9,10 @@
 #include "calib/solve/report.h"
 #include "calib/tracking/moving_rig.h"
 #include "calib/tracking/sequence.h"
+#include "calib/two_view/no_board.h"
 #include "core/error.h"
 #include "core/files.h"
+#include "core/rig.h"
 
 namespace stuv {
 namespace {
@@ -18,7 +21,10 @@ struct Flags : CommonFlags {
   std::filesystem::path recording, output;
   std::string board, moving, camera;
   Lens lens = Lens::opencv4;
-  bool complete = false;
+  std::string distance;
+  std::filesystem::path lenses;
+  double spacing_m = 0;
+  bool complete = false, no_board = false;
 };
 
 using Clock = std::chrono::steady_clock;
@@ -65,6 +71,32 @@ Json produced_by(const Flags& flags, const Recording& recording, const Calibrati
           {"solver", "mrcal"}};
 }
 
+/// "A,B,METRES"
+NoBoardOptions::Distance parse_distance(const std::string& text) {
+  const std::vector<std::string> parts = parse_list("--distance", text);
+  NoBoardOptions::Distance distance;
+  if (parts.size() == 3) {
+    distance.a = parts[0];
+    distance.b = parts[1];
+    distance.m = parse_pair("--distance", parts[2] + ",0").first;
+  }
+  if (!(distance.m > 0) || !std::isfinite(distance.m))
+    throw UsageError(fmt::format("--distance wants two cameras and metres, A,B,0.5, not '{}'", text));
+  return distance;
+}
+
+NoBoardOptions no_board_options(const Flags& flags) {
+  if (!flags.board.empty()) throw UsageError("--no-board and --board exclude each other");
+  NoBoardOptions options;
+  if (!flags.distance.empty()) options.distance = parse_distance(flags.distance);
+  options.spacing_m = flags.spacing_m;
+  if (!options.distance && !(options.spacing_m > 0))
+    throw UsageError("--no-board wants a scale: --spacing-m or --distance");
+  if (!flags.lenses.empty())
+    for (const RigCamera& rc : read_rig(flags.lenses).cameras) options.lenses.push_back(rc.camera);
+  return options;
+}
+
 void print_summary(const Flags& flags, const Calibration& c) {
   const auto step = [](const Eigen::Vector2d& v) {
     return v.norm() > 0 ? fmt::format("{:.2f}", 1e3 * v.norm()) : "-";
@@ -80,14 +112,32 @@ void print_summary(const Flags& flags, const Calibration& c) {
   for (const std::string& note : c.notes) fmt::print("note: {}\n", note);
 }
 
-void write_calibration(const Flags& flags, const Calibration& c, const Json& report) {
+int write_rig_and_report(const Flags& flags, const Calibration& c, double seconds, double seconds_corners) {
   AtomicOutput output(flags.output, AtomicOutput::Kind::folder, flags.force);
   write_rig(output.path(), c.rig);
+  const Json report = report_json(c, seconds, seconds_corners);
   write_json(output.path() / "report.json", report);
   write_text(output.path() / "report.html", report_page(c));
   output.commit();
   write_result(flags, report);
   print_summary(flags, c);
+  return c.good ? kDone : kVerdictNotGood;
+}
+
+int run_without_board(const Flags& flags, const Recording& recording, const Reporter& reporter) {
+  const auto begin = Clock::now();
+  const NoBoardOptions options = no_board_options(flags);
+  const SfmProblem problem = find_tracks(recording, options, reporter);
+  const double seconds_tracks = seconds_since(begin);
+  Calibration c = calibrate_without_board(problem, recording, options, reporter);
+  c.rig.produced_by = {{"program", std::string("stuv ") + STUV_VERSION},
+                       {"board", nullptr},
+                       {"lenses", options.lenses.empty() ? "one shared focal length" : flags.lenses.string()},
+                       {"sets", recording.sets.size()},
+                       {"tracks", problem.tracks.size()},
+                       {"detector", "OpenCV SIFT"},
+                       {"solver", "Ceres"}};
+  return write_rig_and_report(flags, c, seconds_since(begin), seconds_tracks);
 }
 
 /// The recording's cameras are the frames of one that moved; its first set has their pictures.
@@ -118,19 +168,20 @@ int run_moving(const Flags& flags) {
                        {"moving", flags.moving},
                        {"frames", c.rig.cameras.size()},
                        {"solver", "Ceres"}};
-  write_calibration(flags, c, report_json(c, seconds_since(begin), 0));
-  return c.good ? kDone : kVerdictNotGood;
+  return write_rig_and_report(flags, c, seconds_since(begin), 0);
 }
 
 int run(const Flags& flags) {
+  if (!flags.moving.empty() && (flags.no_board || !flags.board.empty()))
+    throw UsageError("--moving, --no-board and --board exclude each other");
   if (!flags.moving.empty()) return run_moving(flags);
   const auto begin = Clock::now();
   check_output(flags.output, flags.force);
   const Recording recording = open_recording(flags.recording);
   if (flags.complete) require_complete(recording);
-  const Board board = choose_board(flags, recording);
   const Reporter reporter = console_reporter();
-
+  if (flags.no_board) return run_without_board(flags, recording, reporter);
+  const Board board = choose_board(flags, recording);
   FoundCorners found = find_corners(recording, board, reporter);
   const double seconds_corners = seconds_since(begin);
   if (found.boards == 0)
@@ -143,9 +194,7 @@ int run(const Flags& flags) {
   Calibration c =
       calibrate(observations_of(recording, board, std::move(found)), recording, options, reporter);
   c.rig.produced_by = produced_by(flags, recording, c);
-
-  write_calibration(flags, c, report_json(c, seconds_since(begin), seconds_corners));
-  return c.good ? kDone : kVerdictNotGood;
+  return write_rig_and_report(flags, c, seconds_since(begin), seconds_corners);
 }
 
 }  // namespace
@@ -157,6 +206,7 @@ void add_calibrate_command(CLI::App& app, Action& action) {
                          "Finds boards and solves for all cameras: lenses, places, plane and lattice.\n\n"
                          "  stuv capture -o rec && stuv calibrate rec -o rig\n"
                          "  stuv calibrate rec -o rig --board chessboard:28x17:20mm\n"
+                         "  stuv calibrate rec -o rig --no-board --lenses old_rig --spacing-m 0.03\n"
                          "  stuv capture --files 'f_{camera}.png' --grid 1x81 -o rec\n"
                          "  stuv calibrate rec -o rig --moving poses.txt --camera cam.cameramodel\n");
   command->add_option("recording", flags->recording, "The recording's folder")->required()->type_name("REC");
@@ -170,6 +220,16 @@ void add_calibrate_command(CLI::App& app, Action& action) {
   command->add_option("--lens", flags->lens, "opencv4, opencv8 or splined [opencv4]")
       ->transform(CLI::CheckedTransformer(lenses))
       ->type_name("LENS");
+  command->add_flag("--no-board", flags->no_board, "Solve from the scene: features that several cameras see");
+  command
+      ->add_option("--lenses", flags->lenses,
+                   "With --no-board: rig whose lenses these are [one shared focal length]")
+      ->type_name("RIG");
+  command->add_option("--spacing-m", flags->spacing_m,
+                      "With --no-board: scale by the lattice's spacing along s [m]");
+  command
+      ->add_option("--distance", flags->distance, "With --no-board: scale by the distance of two cameras [m]")
+      ->type_name("A,B,M");
   command
       ->add_option(
           "--moving", flags->moving,

@@ -3,6 +3,8 @@
 #include <fmt/format.h>
 #include <unistd.h>
 
+#include <algorithm>
+#include <cctype>
 #include <charconv>
 #include <chrono>
 #include <cmath>
@@ -18,6 +20,7 @@ namespace {
 class ProgressPrinter {
  public:
   void at(std::string_view stage, std::size_t done, std::size_t total) {
+    if (total == 0) return;  // nobody knows how much it will be
     const std::lock_guard lock(mutex_);
     const auto now = std::chrono::steady_clock::now();
     if (stage != stage_) {
@@ -173,6 +176,16 @@ Skips parse_skips(const std::string& text) {
     skips.*(found->second) = false;
   }
   return skips;
+}
+
+void check_name(const std::string& flag, const std::filesystem::path& file,
+                const std::vector<std::string>& extensions) {
+  if (file.empty()) return;
+  std::string extension = file.extension().string();
+  std::transform(extension.begin(), extension.end(), extension.begin(),
+                 [](unsigned char c) { return std::tolower(c); });
+  if (std::find(extensions.begin(), extensions.end(), extension) == extensions.end())
+    throw UsageError(fmt::format("{} {}: name it {}", flag, file.string(), fmt::join(extensions, ", ")));
 }
 
 }  // namespace stuv

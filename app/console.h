@@ -4,6 +4,7 @@
 #include <filesystem>
 #include <string>
 #include <utility>
+#include <vector>
 
 #include "core/camera.h"
 #include "core/json.h"
@@ -47,5 +48,10 @@ Skips parse_skips(const std::string& text);
 std::string skip_names();
 /// "a,b,c" to its parts; empty parts are an error of the flag.
 std::vector<std::string> parse_list(const std::string& flag, const std::string& text);
+
+/// Before any work: that a file of that name can hold what goes into it; an empty one is not asked for.
+/// Throws UsageError.
+void check_name(const std::string& flag, const std::filesystem::path& file,
+                const std::vector<std::string>& extensions);
 
 }  // namespace stuv

@@ -1,3 +1,5 @@
+#include <malloc.h>
+
 #include <fmt/format.h>
 
 #include <new>
@@ -7,6 +9,9 @@
 #include "core/error.h"
 
 int main(int argc, char** argv) {
+  // Pictures of one size come and go: their memory is kept, as the kernel clears what it hands out anew.
+  mallopt(M_MMAP_THRESHOLD, 1 << 30);
+  mallopt(M_TRIM_THRESHOLD, 1 << 30);
   using namespace stuv;
   CLI::App app(
       "From a camera array to pictures that are sharp everywhere.\n\n"
@@ -15,6 +20,7 @@ int main(int argc, char** argv) {
   app.set_version_flag("--version", std::string("stuv ") + STUV_VERSION);
   app.require_subcommand(1);
   Action action;
+  add_cameras_command(app, action);
   add_capture_command(app, action);
   add_calibrate_command(app, action);
   add_import_command(app, action);
@@ -24,6 +30,7 @@ int main(int argc, char** argv) {
   add_view_command(app, action);
   add_bench_command(app, action);
   add_track_command(app, action);
+  add_two_view_command(app, action);
   app.failure_message(
       [](const CLI::App*, const CLI::Error& e) { return fmt::format("stuv: {}; see --help\n", e.what()); });
   try {

@@ -196,16 +196,6 @@ void write_outputs(const Outputs& files, const LightField& lf, const RenderedVie
   if (!files.confidence.empty()) write_float(files.confidence, view.confidence, PixelType::u8);
 }
 
-/// Before any work: that a file of that name can hold what goes into it.
-void check_name(const std::string& flag, const fs::path& file, const std::vector<std::string>& extensions) {
-  if (file.empty()) return;
-  std::string extension = file.extension().string();
-  std::transform(extension.begin(), extension.end(), extension.begin(),
-                 [](unsigned char c) { return std::tolower(c); });
-  if (std::find(extensions.begin(), extensions.end(), extension) == extensions.end())
-    throw UsageError(fmt::format("{} {}: name it {}", flag, file.string(), fmt::join(extensions, ", ")));
-}
-
 void check_usage(const Flags& flags) {
   if (!flags.at.empty() && !flags.path.empty()) throw UsageError("--at and --path exclude each other");
   if (flags.focus_m && flags.focus_px) throw UsageError("--focus and --focus-px exclude each other");

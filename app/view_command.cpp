@@ -10,6 +10,9 @@
 namespace stuv {
 namespace {
 
+/// Focal planes and M that the window's controls go up to.
+constexpr int kMostChosen = 1000;
+
 struct Flags {
   std::filesystem::path scene, screenshot;
   std::string disparity, depth_m, method = "fast", backend = "cpu", overlay = "none";
@@ -20,6 +23,7 @@ struct Flags {
 int run(const Flags& flags) {
   if (!exists(method_from_name(flags.method), backend_from_name(flags.backend)))
     throw UsageError("--method fast runs on the CPU; use --method exact with --backend gl");
+  check_name("--screenshot", flags.screenshot, {".png", ".tif", ".tiff", ".jpg", ".jpeg"});
   const LightFieldReader reader(open_light_field(flags.scene));
   const LightField& lf = reader.light_field();
   if (!flags.screenshot.empty()) check_output(flags.screenshot, flags.force);
@@ -58,8 +62,8 @@ void add_view_command(CLI::App& app, Action& action) {
   command->add_option("--overlay", flags->overlay, "To start with: none, depth, confidence [none]")
       ->check(CLI::IsMember({"none", "depth", "confidence"}));
   command->add_option("--planes", flags->planes, "Focal planes to start with [as many as the range needs]")
-      ->check(CLI::Range(1, kMostCount));
-  command->add_option("--window", flags->window, "M to start with [3]")->check(CLI::Range(0, kMostCount));
+      ->check(CLI::Range(1, kMostChosen));
+  command->add_option("--window", flags->window, "M to start with [3]")->check(CLI::Range(0, kMostChosen));
   command->add_option("--disparity", flags->disparity, "Range of the planes, px per unit of s")
       ->type_name("MIN,MAX");
   command->add_option("--depth-m", flags->depth_m, "The same in metres")->type_name("NEAR,FAR");

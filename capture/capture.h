@@ -16,6 +16,7 @@ struct CaptureOptions {
 struct CaptureResult {
   std::size_t sets = 0, incomplete_sets = 0;
   std::size_t frames = 0;  ///< with status ok
+  Json report;             ///< Source::report, also in REC/report.json
 };
 
 /// Pulls sets from a source into the recording `folder`; the frames of a set are encoded in parallel.

@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 #include <toml++/toml.h>
 
+#include <map>
 #include <set>
 
 #include "capture/default_config.h"  // made of configs/synthetic-5x5.toml by CMake
@@ -34,6 +35,17 @@ class TableReader {
     const toml::node* node = take(key);
     if (node != nullptr && !node->is_table()) fail(*node, key, "must be a table");
     return {node != nullptr ? *node->as_table() : empty, path_ + key + ".", file_};
+  }
+
+  /// The tables of [[key]].
+  std::vector<TableReader> children(const char* key) {
+    std::vector<TableReader> tables;
+    const toml::node* node = take(key);
+    if (node == nullptr) return tables;
+    if (!node->is_array_of_tables()) fail(*node, key, "must be tables, [[" + std::string(key) + "]]");
+    for (const toml::node& entry : *node->as_array())
+      tables.emplace_back(*entry.as_table(), path_ + key + ".", file_);
+    return tables;
   }
 
   /// Throws if the table has a key that nobody asked for.
@@ -81,6 +93,11 @@ class TableReader {
     const toml::array* array = node.as_array();
     if (array == nullptr || array->size() != n) fail(node, key, fmt::format("must be a list of {}", n));
     for (std::size_t i = 0; i < n; ++i) assign(*array->get(i), key, value[i]);
+  }
+  void assign(const toml::node& node, const char* key, std::map<std::string, std::int64_t>& value) const {
+    if (!node.is_table()) fail(node, key, "must be a table of whole numbers");
+    for (const auto& [name, entry] : *node.as_table())
+      assign(entry, name.data(), value[std::string(name.str())]);
   }
   void assign(const toml::node& node, const char* key, std::vector<std::string>& value) const {
     const toml::array* array = node.as_array();
@@ -181,6 +198,53 @@ FilesOptions read_files(TableReader& source, const std::string& file) {
   return options;
 }
 
+CameraSourceOptions::Mode mode_from(const std::string& name, const std::string& file) {
+  using Mode = CameraSourceOptions::Mode;
+  if (name == "free") return Mode::free;
+  if (name == "common-start") return Mode::common_start;
+  if (name == "trigger") return Mode::trigger;
+  throw Error(file, fmt::format("source.mode is '{}'", name),
+              "use \"free\", \"common-start\" or \"trigger\"");
+}
+
+void read_camera(TableReader table, CameraSettings& camera) {
+  table.read("id", camera.id);
+  table.read("name", camera.name);
+  table.read("row", camera.row);
+  table.read("col", camera.col);
+  table.read("format", camera.format);
+  table.read("width", camera.width);
+  table.read("height", camera.height);
+  table.read("fps", camera.fps);
+  table.read("buffers", camera.buffers);
+  table.read("controls", camera.controls);
+  table.finish();
+}
+
+CameraSourceOptions read_cameras(TableReader& root, TableReader& source, const std::string& file) {
+  CameraSourceOptions options;
+  std::string mode = "free";
+  source.read("rows", options.rows);
+  source.read("cols", options.cols);
+  source.read("mode", mode);
+  source.read("trigger_window_ms", options.trigger_window_ms);
+  source.read("duration_s", options.duration_s);
+  source.read("queue_sets", options.queue_sets);
+  source.read("allow_missing", options.allow_missing);
+  source.read("give_up_s", options.give_up_s);
+  source.read("record", options.record);
+  options.mode = mode_from(mode, file);
+  TableReader motion = root.child("motion");
+  motion.read("speed_m_per_s", options.motion.speed_m_per_s);
+  motion.read("distance_m", options.motion.distance_m);
+  motion.read("focal_px", options.motion.focal_px);
+  motion.finish();
+  for (const TableReader& table : root.children("camera")) read_camera(table, options.cameras.emplace_back());
+  if (const std::string problem = problem_of(options); !problem.empty())
+    throw Error(file, problem, "correct the value");
+  return options;
+}
+
 toml::table parse_toml(std::string_view text, const std::string& name) {
   try {
     return toml::parse(text, name);
@@ -203,8 +267,11 @@ CaptureConfig parse_capture_config(std::string_view text, const std::string& nam
     config = read_synthetic(root, source, name);
   else if (kind == "files")
     config = read_files(source, name);
+  else if (kind == "cameras")
+    config = read_cameras(root, source, name);
   else
-    throw Error(name, fmt::format("source.kind is '{}'", kind), "use \"synthetic\" or \"files\"");
+    throw Error(name, fmt::format("source.kind is '{}'", kind),
+                "use \"cameras\", \"files\" or \"synthetic\"");
   source.finish();
   root.finish();
   return config;
@@ -218,8 +285,11 @@ CaptureConfig default_capture_config() {
   return parse_capture_config(kDefaultConfig, "the built-in configs/synthetic-5x5.toml");
 }
 
-std::unique_ptr<Source> open_source(const CaptureConfig& config, const Reporter& reporter) {
+std::unique_ptr<Source> open_source(const CaptureConfig& config, const Reporter& reporter,
+                                    const std::atomic<bool>* stop, StatusFunction status) {
   if (const auto* files = std::get_if<FilesOptions>(&config)) return open_files(*files, reporter);
+  if (const auto* cameras = std::get_if<CameraSourceOptions>(&config))
+    return open_cameras(*cameras, reporter, stop, std::move(status));
   return synthetic::open_synthetic(std::get<SyntheticOptions>(config));
 }
 

@@ -2,13 +2,16 @@
 
 #include <cstddef>
 #include <filesystem>
+#include <memory>
 #include <optional>
+#include <span>
 #include <string>
 #include <variant>
 #include <vector>
 
 #include "core/image.h"
 #include "core/json.h"
+#include "core/raw_frame.h"
 #include "core/recording.h"
 
 namespace stuv {
@@ -19,10 +22,12 @@ struct FileFrame {
   bool copy = false;
 };
 
-/// Bytes as the device delivered them (MJPEG, raw Bayer, ...), stored unchanged in a file of that extension.
+/// Bytes as the device delivered them, in its memory.
 struct RawFrame {
-  std::vector<std::byte> bytes;
-  std::string extension;  ///< without the dot
+  std::span<const std::byte> bytes;
+  std::shared_ptr<const void> hold;  ///< keeps them there
+  RawFormat format;                  ///< or MJPG
+  std::string record = "raw";        ///< unchanged (a .raw file or, of MJPG, a .jpg); or as "png", "tif"
 };
 
 /// What one camera delivered for one set. The content is valid with status ok only.
@@ -52,8 +57,14 @@ class Source {
   /// Number of sets it will deliver; none: it goes on until it is stopped.
   virtual std::optional<std::size_t> set_count() const { return std::nullopt; }
 
+  /// Whether it goes on whether or not its sets are taken: then they must be stored quickly.
+  virtual bool live() const { return false; }
+
   /// The next set; none when there are no more. A failed frame is a status, a failed device is an Error.
   virtual std::optional<SourceSet> next() = 0;
+
+  /// What became of every frame, once it is over; null: there is nothing to tell.
+  virtual Json report() { return nullptr; }
 
   /// Writes what else is known of the set that next() delivered last (the synthetic rig's truth) into the
   /// recording's folder. Called before the set becomes visible.

@@ -2,6 +2,7 @@
 
 #include <fcntl.h>
 #include <fmt/format.h>
+#include <sys/uio.h>
 #include <unistd.h>
 
 #include <atomic>
@@ -35,11 +36,11 @@ void require_replaceable(const fs::path& folder) {
   std::error_code ec;
   if (!fs::exists(folder, ec)) return;
   for (const char* manifest :
-       {"recording.json", "rig.json", "lightfield.json", "keyframes.json", "overlay.json"})
+       {"recording.json", "rig.json", "lightfield.json", "keyframes.json", "overlay.json", "two_view.json"})
     if (fs::exists(folder / manifest, ec)) return;
   if (fs::is_directory(folder, ec) && fs::is_empty(folder, ec)) return;
   throw Error(folder.string(), "exists and was not made by stuv",
-              "choose another name; --force replaces recordings, rigs, scenes, keyframes and overlays only");
+              "choose another name; --force replaces folders of stuv's only");
 }
 
 [[noreturn]] void throw_write_error(const fs::path& file, int error) {
@@ -79,6 +80,25 @@ void write_text(const fs::path& file, std::string_view text) {
     ::unlink(work.c_str());
     throw_write_error(file, error);
   }
+}
+
+void write_new_file(const fs::path& file, std::span<const std::byte> first,
+                    std::span<const std::byte> second) {
+  const int fd = ::open(file.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0644);
+  if (fd < 0) throw_write_error(file, errno);
+  int error = 0;
+  while (first.size() + second.size() > 0 && error == 0) {
+    const iovec parts[] = {{const_cast<std::byte*>(first.data()), first.size()},
+                           {const_cast<std::byte*>(second.data()), second.size()}};
+    const ssize_t n = ::writev(fd, parts, 2);
+    if (n < 0 && errno != EINTR) error = errno;
+    const std::size_t written = n > 0 ? static_cast<std::size_t>(n) : 0,
+                      of_first = std::min(written, first.size());
+    first = first.subspan(of_first);
+    second = second.subspan(written - of_first);
+  }
+  if (::close(fd) != 0 && error == 0) error = errno;
+  if (error != 0) throw_write_error(file, error);
 }
 
 void check_output(const fs::path& path, bool force) {

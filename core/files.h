@@ -1,6 +1,8 @@
 #pragma once
 
+#include <cstddef>
 #include <filesystem>
+#include <span>
 #include <string>
 #include <string_view>
 
@@ -11,6 +13,11 @@ std::string read_text(const std::filesystem::path& file);
 
 /// Writes beside the file and renames: the file is there whole or as it was before. Synced to disk.
 void write_text(const std::filesystem::path& file, std::string_view text);
+
+/// Writes a file that does not exist yet, in two parts, straight to its name and without waiting for the
+/// disk: for files in a folder that itself appears whole.
+void write_new_file(const std::filesystem::path& file, std::span<const std::byte> first,
+                    std::span<const std::byte> second = {});
 
 /// Throws Error if `path` exists and `force` is false, or if its parent folder cannot be written to.
 /// Commands call it before they start working.

@@ -1,5 +1,6 @@
 #include "core/image_io.h"
 
+#include <OpenImageIO/filesystem.h>
 #include <OpenImageIO/imageio.h>
 #include <fmt/format.h>
 #include <zlib.h>
@@ -13,6 +14,7 @@
 
 #include "core/error.h"
 #include "core/files.h"
+#include "core/raw_frame.h"
 
 namespace stuv {
 namespace {
@@ -99,6 +101,16 @@ std::unique_ptr<OIIO::ImageInput> open_input(const std::filesystem::path& file) 
   return input;
 }
 
+bool is_raw(const std::filesystem::path& file) { return file.extension() == ".raw"; }
+
+/// A frame as the camera delivered it; only here it becomes pixels.
+Image read_raw(const std::filesystem::path& file) {
+  const std::string text = read_text(file);
+  const RawFormat format = parse_raw_header(text, file.string());
+  const std::size_t begin = std::min(kRawHeaderBytes, text.size());
+  return decode_raw(format, std::as_bytes(std::span(text)).subspan(begin), file.string());
+}
+
 /// 1 grey, 2 grey and alpha, 3 colour, 4 and more colour and alpha.
 int colour_channels(const OIIO::ImageSpec& spec) { return spec.nchannels >= 3 ? 3 : 1; }
 
@@ -134,18 +146,9 @@ std::vector<std::byte> with_alpha(const Image& image) {
   return out;
 }
 
-}  // namespace
-
-ImageInfo read_image_info(const std::filesystem::path& file) {
-  const auto input = open_input(file);
-  const OIIO::ImageSpec& spec = input->spec();
-  return {spec.width, spec.height, colour_channels(spec), from_oiio(spec.format)};
-}
-
-Image read_image(const std::filesystem::path& file) {
-  const auto input = open_input(file);
-  const OIIO::ImageSpec& spec = input->spec();
-  if (spec.width <= 0 || spec.height <= 0) throw Error(file.string(), "has no pixels", "replace it");
+Image read_all(OIIO::ImageInput& input, const std::string& name) {
+  const OIIO::ImageSpec& spec = input.spec();
+  if (spec.width <= 0 || spec.height <= 0) throw Error(name, "has no pixels", "replace it");
   Image image;
   image.width = spec.width;
   image.height = spec.height;
@@ -153,17 +156,45 @@ Image read_image(const std::filesystem::path& file) {
   image.type = from_oiio(spec.format);
   const std::size_t sample = bytes_per_sample(image.type);
   std::vector<std::byte> all(static_cast<std::size_t>(spec.width) * spec.height * spec.nchannels * sample);
-  if (!input->read_image(0, 0, 0, spec.nchannels, to_oiio(image.type), all.data()))
-    throw Error(file.string(), fmt::format("is damaged or truncated ({})", input->geterror()), "replace it");
+  if (!input.read_image(0, 0, 0, spec.nchannels, to_oiio(image.type), all.data()))
+    throw Error(name, fmt::format("is damaged or truncated ({})", input.geterror()), "replace it");
   if (spec.nchannels == image.channels) {
     image.bytes = std::move(all);
     return image;
   }
-  Image alpha{image.width, image.height, 1, image.type, pick(all, sample, spec.nchannels, image.channels, 1),
-              {}};
+  const Image alpha{
+      image.width, image.height, 1, image.type, pick(all, sample, spec.nchannels, image.channels, 1), {}};
   image.mask = mask_from_alpha(alpha);
   image.bytes = pick(all, sample, spec.nchannels, 0, image.channels);
   return image;
+}
+
+}  // namespace
+
+ImageInfo read_image_info(const std::filesystem::path& file) {
+  if (is_raw(file)) {
+    const Image image = read_raw(file);
+    return {image.width, image.height, image.channels, image.type};
+  }
+  const auto input = open_input(file);
+  const OIIO::ImageSpec& spec = input->spec();
+  return {spec.width, spec.height, colour_channels(spec), from_oiio(spec.format)};
+}
+
+Image read_image(const std::filesystem::path& file) {
+  if (is_raw(file)) return read_raw(file);
+  return read_all(*open_input(file), file.string());
+}
+
+Image decode_jpeg(std::span<const std::byte> bytes, const std::string& name) {
+  OIIO::Filesystem::IOMemReader memory(bytes.data(), bytes.size());
+  auto input = OIIO::ImageInput::create("jpeg");
+  OIIO::ImageSpec spec, config;
+  void* proxy = &memory;
+  config.attribute("oiio:ioproxy", OIIO::TypeDesc::PTR, &proxy);
+  if (!input || !input->open("frame.jpg", spec, config))
+    throw Error(name, "is no JPEG picture", "check the camera");
+  return read_all(*input, name);
 }
 
 void write_image(const std::filesystem::path& file, const Image& image) {

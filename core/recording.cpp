@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <span>
 
 #include "core/error.h"
 #include "core/files.h"
@@ -160,17 +161,23 @@ fs::path RecordingWriter::begin_set(const std::string& name) {
   return work;
 }
 
-void RecordingWriter::commit_set(const FrameSet& set) {
+void RecordingWriter::commit_set(const FrameSet& set, Durable durable) {
   std::error_code ec;
-  for (const auto& entry : fs::directory_iterator(open_set_, ec)) sync_to_disk(entry.path());
-  write_json(open_set_ / "set.json", set_to_json(set, cameras_));
-  sync_to_disk(open_set_);
+  const Json json = set_to_json(set, cameras_);
+  if (durable == Durable::yes) {
+    for (const auto& entry : fs::directory_iterator(open_set_, ec)) sync_to_disk(entry.path());
+    write_json(open_set_ / "set.json", json);
+    sync_to_disk(open_set_);
+  } else {
+    const std::string text = json.dump() + "\n";
+    write_new_file(open_set_ / "set.json", std::as_bytes(std::span(text)));
+  }
   fs::rename(open_set_, folder_ / "sets" / set.name, ec);
   if (ec)
     throw Error((folder_ / "sets" / set.name).string(),
                 fmt::format("cannot be put in place: {}", ec.message()), "check for a set of the same name");
   open_set_.clear();
-  sync_to_disk(folder_ / "sets");
+  if (durable == Durable::yes) sync_to_disk(folder_ / "sets");
 }
 
 }  // namespace stuv

@@ -69,6 +69,11 @@ Recording open_recording(const std::filesystem::path& folder);
 void require_complete(const Recording& recording, const FrameSet& set);
 void require_complete(const Recording& recording);
 
+/// Whether a set is brought to the disk before it is visible, so that it outlives a power failure as well as
+/// the end of the process. Live cameras have no time for that: a set that lost its bytes so is recognised by
+/// their number.
+enum class Durable { yes, no };
+
 /// Writes a recording set by set.
 class RecordingWriter {
  public:
@@ -80,7 +85,7 @@ class RecordingWriter {
   /// A hidden folder for the frames of one set. Removed unless commit_set follows.
   std::filesystem::path begin_set(const std::string& name);
   /// Makes the set visible. Frame files are names inside begin_set's folder, or absolute paths (referenced).
-  void commit_set(const FrameSet& set);
+  void commit_set(const FrameSet& set, Durable durable = Durable::yes);
 
   const std::filesystem::path& folder() const { return folder_; }
 

@@ -110,12 +110,7 @@ void note_depths(Calibration& c) {
 void fill_rig(Calibration& c, const std::vector<int>& determined) {
   Rig& rig = c.rig;
   const Pose ref_from_rig = c.layout.rig_from_ref.inverse();
-  rig.rows = c.layout.rows;
-  rig.cols = c.layout.cols;
-  rig.lattice_origin_m = c.layout.origin_m;
-  rig.s_step_m = c.layout.s_step_m;
-  rig.t_step_m = c.layout.t_step_m;
-  rig.rms_off_plane_m = c.layout.rms_off_plane_m;
+  set_lattice(c.layout, rig);
   for (std::size_t i = 0; i < c.solution.cameras.size(); ++i) {
     RigCamera camera;
     camera.camera = c.solution.cameras[i];

@@ -284,4 +284,13 @@ Layout fit_layout(const std::vector<PlacedCamera>& cameras, int rows, int cols) 
   return layout;
 }
 
+void set_lattice(const Layout& layout, Rig& rig) {
+  rig.rows = layout.rows;
+  rig.cols = layout.cols;
+  rig.lattice_origin_m = layout.origin_m;
+  rig.s_step_m = layout.s_step_m;
+  rig.t_step_m = layout.t_step_m;
+  rig.rms_off_plane_m = layout.rms_off_plane_m;
+}
+
 }  // namespace stuv

@@ -4,6 +4,7 @@
 #include <vector>
 
 #include "core/pose.h"
+#include "core/rig.h"
 
 namespace stuv {
 
@@ -41,5 +42,8 @@ struct Layout {
 /// its lattice point, s within 45 degrees of the cameras' right. Where they do not, rows and columns are
 /// counted along the centres (places_on_lattice), if those then fit with every camera on a place of its own.
 Layout fit_layout(const std::vector<PlacedCamera>& cameras, int rows, int cols);
+
+/// The rig's rows, columns, origin, steps and distance from the plane are the layout's.
+void set_lattice(const Layout& layout, Rig& rig);
 
 }  // namespace stuv

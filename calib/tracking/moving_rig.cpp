@@ -407,10 +407,7 @@ void fill(const std::vector<MovingFrame>& frames, const Camera& camera, const La
     placed.push_back({a.poses[lattice.frames[i]], lattice.row[i], lattice.col[i], true});
   c.layout = fit_layout(placed, lattice.rows, lattice.cols);
   Rig& rig = c.rig;
-  rig.rows = c.layout.rows, rig.cols = c.layout.cols;
-  rig.lattice_origin_m = c.layout.origin_m, rig.s_step_m = c.layout.s_step_m,
-  rig.t_step_m = c.layout.t_step_m;
-  rig.rms_off_plane_m = c.layout.rms_off_plane_m;
+  set_lattice(c.layout, rig);
   const Pose ref_from_rig = c.layout.rig_from_ref.inverse();
   double sum_sq = 0, count = 0;
   for (std::size_t i = 0; i < lattice.frames.size(); ++i) {

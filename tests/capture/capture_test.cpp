@@ -14,6 +14,8 @@ using Catch::Matchers::Contains;
 
 namespace {
 
+constexpr unsigned char kTwoBytes[] = {1, 2};
+
 /// Three cameras: pixels, raw bytes, and one that fails in set 1; breaks down before set `breaks_at`.
 class FakeSource final : public Source {
  public:
@@ -27,7 +29,9 @@ class FakeSource final : public Source {
     if (set_ == breaks_at_) throw Error("camera b", "is gone", "plug it in");
     SourceSet set{same_name_ ? "same" : std::to_string(set_), std::vector<SourceFrame>(3)};
     set.frames[0] = {FrameStatus::ok, flat_image(4, 4, 7), set_ * 2, 1000 + set_, ""};
-    set.frames[1] = {FrameStatus::ok, RawFrame{{std::byte{1}, std::byte{2}}, "raw"}, set_, 2000 + set_, ""};
+    set.frames[1] = {FrameStatus::ok,
+                     RawFrame{std::as_bytes(std::span(kTwoBytes)), nullptr, {"GREY", 2, 1, 2}}, set_,
+                     2000 + set_, ""};
     set.frames[2] = {FrameStatus::ok, flat_image(4, 4, 8), set_, 3000 + set_, ""};
     if (set_ == 1) set.frames[2] = {FrameStatus::error, {}, 1, -1, "flagged bad by the driver"};
     ++set_;
@@ -58,7 +62,8 @@ TEST_CASE("capture: pixels, raw bytes, status, sequence and time arrive in the r
   CHECK(set.frames[0].sequence == 2);
   CHECK(set.frames[0].timestamp_ns == 1001);
   CHECK(set.frames[1].file.extension() == ".raw");
-  CHECK(read_text(set.frames[1].file) == "\x01\x02");
+  CHECK(read_text(set.frames[1].file).substr(kRawHeaderBytes) == "\x01\x02");
+  CHECK(read_image(set.frames[1].file).bytes == std::vector{std::byte{1}, std::byte{2}});
   CHECK(set.frames[2].status == FrameStatus::error);
   CHECK(set.frames[2].problem == "flagged bad by the driver");
 }

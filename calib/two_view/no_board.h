@@ -1,0 +1,82 @@
+#pragma once
+
+#include <Eigen/Dense>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "calib/solve/calibrate.h"
+#include "core/progress.h"
+#include "core/recording.h"
+
+namespace stuv {
+
+/// What is known beforehand of an array that no board was shown to.
+struct NoBoardOptions {
+  /// Lenses, one a camera of the recording; empty: pinholes with one shared focal length, which is solved
+  /// for, and the principal point in the middle.
+  std::vector<Camera> lenses;
+  /// Scale: the distance of two cameras by name, or the spacing of the lattice [m].
+  struct Distance {
+    std::string a, b;
+    double m = 0;
+  };
+  std::optional<Distance> distance;
+  double spacing_m = 0;
+  int most_features = 4000;  ///< a picture
+  int reach = 4;             ///< pairs of cameras this many rows and columns apart are matched
+  std::uint64_t seed = 1;
+};
+
+/// A point of the scene as the cameras see it, in ideal pixels: focal length `focal_px` for all, principal
+/// point 0.
+struct Track {
+  std::vector<int> camera;
+  std::vector<Eigen::Vector2d> at_px;
+};
+
+struct SfmProblem {
+  int cameras = 0;
+  double focal_px = 0;
+  bool focal_known = true;
+  std::vector<Track> tracks;
+};
+
+/// Cameras and points up to a similarity; camera 0 of those placed is the reference.
+struct SfmSolution {
+  bool converged = false;
+  std::vector<Pose> cam_from_ref;
+  std::vector<bool> placed;
+  std::vector<Eigen::Vector3d> points;    ///< NaN: not placed
+  std::vector<std::vector<bool>> inlier;  ///< [track][observation]
+  double focal_px = 0, focal_sigma_px = 0;
+  int inliers = 0, outliers = 0;
+  double rms_px = 0, worst_px = 0, noise_px = 0;
+  std::vector<double> camera_rms_px;
+  std::vector<int> camera_inliers;
+  /// Of all centres, (3 n) x (3 n), in the reference frame; 0 for what is held.
+  Eigen::MatrixXd centre_covariance;
+};
+
+/// From pairs to all cameras to one bundle adjustment:
+///   1. the pair with the widest parallax among those with many tracks: F, E, pose; points by triangulation
+///   2. camera after camera by its points (solvePnPRansac), new points, a bundle adjustment every time
+///   3. minimise sum rho(|f pi(R_i (X_j - c_i)) - x_ij|^2) by Ceres, Huber first; then outliers beyond four
+///   deviations
+///      out, and least squares; the gauge held by camera 0 and the longest component of one other centre
+/// Covariance: of the centres from the last Jacobian, points eliminated, each track's errors taken as one
+/// (sandwich).
+SfmSolution solve_sfm(const SfmProblem& problem, std::uint64_t seed, const Reporter& reporter = {});
+
+/// Tracks through all pictures of a recording: SIFT in every picture, pairs of neighbours matched and
+/// verified by estimate_two_view (planar pairs count, by their homography), matches joined where no camera
+/// sees a track twice.
+SfmProblem find_tracks(const Recording& recording, const NoBoardOptions& options,
+                       const Reporter& reporter = {});
+
+/// The whole chain to a rig, as `calibrate` does it from boards: layout, scale, covariance after a
+/// similarity's alignment, verdict. Throws Error if neither scale is given or a name is unknown.
+Calibration calibrate_without_board(const SfmProblem& problem, const Recording& recording,
+                                    const NoBoardOptions& options, const Reporter& reporter = {});
+
+}  // namespace stuv
