@@ -8,6 +8,7 @@
 #include "render/view_set.h"
 #include "tests/render/scenes.h"
 #include "tests/support/support.h"
+#include "tests/support/virtual_display.h"
 
 using namespace stuv;
 using namespace stuv::test;
@@ -172,14 +173,15 @@ TEST_CASE("stuv view: without a display one line says what to do") {
 }
 
 TEST_CASE("stuv view: a picture that cannot be made is an error once the window closes by itself") {
-  if (std::system("command -v xvfb-run >/dev/null") != 0) STUV_SKIP("no xvfb-run");
+  const VirtualDisplay display;
+  if (!display.prefix()) STUV_SKIP("Xvfb does not start");
   const TempFolder folder;
   const LightField lf = write_scene(folder / "scene", PixelType::u8, true);
-  // Mesa then has OpenGL 3.3 for the window, and no 4.5 for the renderer. xvfb-run has one stream for both.
-  const std::string line = "MESA_GL_VERSION_OVERRIDE=3.3 timeout 100 xvfb-run -a -e /dev/null " +
-                           std::string(STUV_PROGRAM) + " view " + lf.folder.string() +
-                           "/ --disparity 0,4 --method exact --backend gl --frames 2 >" +
-                           (folder / "said").string() + " 2>&1";
+  // Mesa then has OpenGL 3.3 for the window, and no 4.5 for the renderer.
+  const std::string line = *display.prefix() + "MESA_GL_VERSION_OVERRIDE=3.3 timeout 100 " + STUV_PROGRAM +
+                           " view " + lf.folder.string() +
+                           " --disparity 0,4 --method exact --backend gl --frames 2 2>" +
+                           (folder / "said").string();
   CHECK(WEXITSTATUS(std::system(line.c_str())) == 1);
   const std::string said = read_text(folder / "said");
   INFO(said);
@@ -187,15 +189,16 @@ TEST_CASE("stuv view: a picture that cannot be made is an error once the window 
 }
 
 TEST_CASE("stuv view: opens under Xvfb and shows the picture beside its switches") {
-  if (std::system("command -v xvfb-run >/dev/null") != 0) STUV_SKIP("no xvfb-run");
+  const VirtualDisplay display;
+  if (!display.prefix()) STUV_SKIP("Xvfb does not start");
   const TempFolder folder;
   const LightField lf =
       write_scene(folder / "scene", PixelType::u8, true, {.rows = 4, .cols = 4, .width = 160, .height = 140});
   const auto shot = [&](const std::string& flags) {
     const auto file = folder / "shot.png";
-    const std::string line = "timeout 100 xvfb-run -a -s '-screen 0 1600x1000x24' " +
-                             std::string(STUV_PROGRAM) + " view " + lf.folder.string() +
-                             " --disparity 0,4 --planes 5 --frames 3 --force " + "--screenshot " +
+    const std::string line = *display.prefix() + "timeout 100 " + STUV_PROGRAM + " view " +
+                             lf.folder.string() +
+                             " --disparity 0,4 --planes 5 --frames 3 --force --screenshot " +
                              file.string() + " " + flags;
     REQUIRE(std::system(line.c_str()) == 0);
     return to_float(read_image(file));
