@@ -511,7 +511,8 @@ TEST_CASE("vivid: 9 and 16 cameras for 10 s, against v4l2-ctl", "[rig]") {
         "{:.2f} ms a frame, v4l2-ctl {:.2f} ms in {:.1f} s for 5 s of frames\n",
         count, report["sets"]["complete"].get<int>(), report["sets"]["incomplete"].get<int>(),
         report["sets"]["dropped_queue_full"].get<int>(), dropped, report["skew_ms"]["median"].get<double>(),
-        report["skew_ms"]["worst"].get<double>(), times.spread_ms, times.stray_ms, cpu_ms, peer_cpu_ms, peer_s);
+        report["skew_ms"]["worst"].get<double>(), times.spread_ms, times.stray_ms, cpu_ms, peer_cpu_ms,
+        peer_s);
     for (const FrameSet& set : recording.sets)
       if (!set.complete()) fmt::print("set {} is incomplete\n", set.name);
     shell(fmt::format("umount {}", disk.string()));
