@@ -196,10 +196,9 @@ TEST_CASE("stuv view: opens under Xvfb and shows the picture beside its switches
       write_scene(folder / "scene", PixelType::u8, true, {.rows = 4, .cols = 4, .width = 160, .height = 140});
   const auto shot = [&](const std::string& flags) {
     const auto file = folder / "shot.png";
-    const std::string line = *display.prefix() + "timeout 100 " + STUV_PROGRAM + " view " +
-                             lf.folder.string() +
-                             " --disparity 0,4 --planes 5 --frames 3 --force --screenshot " +
-                             file.string() + " " + flags;
+    const std::string line =
+        *display.prefix() + "timeout 100 " + STUV_PROGRAM + " view " + lf.folder.string() +
+        " --disparity 0,4 --planes 5 --frames 3 --force --screenshot " + file.string() + " " + flags;
     REQUIRE(std::system(line.c_str()) == 0);
     return to_float(read_image(file));
   };
