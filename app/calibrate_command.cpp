@@ -107,6 +107,7 @@ void print_summary(const Flags& flags, const Calibration& c) {
              100.0 * c.solution.outliers / std::max(1, c.solution.inliers + c.solution.outliers),
              1e3 * c.rig.rms_off_plane_m);
   if (c.cross_validation_px) fmt::print("left-out boards: rms {:.3f} px\n", *c.cross_validation_px);
+  if (const std::string text = ghosting_text(c.ghosting); !text.empty()) fmt::print("{}\n", text);
   fmt::print("verdict: {}\n", c.good ? "good" : "not good");
   for (const std::string& reason : c.reasons) fmt::print("  {}\n", reason);
   for (const std::string& note : c.notes) fmt::print("note: {}\n", note);

@@ -155,6 +155,15 @@ std::optional<double> cross_validate(const Calibration& c, const CalibrationOpti
   return std::sqrt(total.sum_sq_px2 / total.count);
 }
 
+/// Half as near as boards were seen, to infinity.
+std::vector<double> working_depths(const Rig& rig) {
+  constexpr int kDepths = 12;
+  std::vector<double> depths;
+  for (int i = 0; i < kDepths; ++i)
+    depths.push_back(0.5 * rig.nearest_seen_m * (kDepths - 1) / (kDepths - 1.0 - i));
+  return depths;
+}
+
 void judge(Calibration& c, const CalibrationOptions& options) {
   const JointSolution& s = c.solution;
   const auto bad = [&](std::string reason) { c.reasons.push_back(std::move(reason)); };
@@ -181,6 +190,19 @@ void judge(Calibration& c, const CalibrationOptions& options) {
   c.good = c.reasons.empty();
 }
 
+void note_ghosting(Calibration& c, const CalibrationOptions& options) {
+  Ghosting worst;
+  for (const Ghosting& g : c.ghosting)
+    if (g.depth_m >= c.rig.nearest_seen_m && g.depth_m <= c.rig.farthest_seen_m &&
+        g.worst_px > worst.worst_px)
+      worst = g;
+  if (worst.worst_px > options.most_ghosting_px)
+    c.notes.push_back(
+        fmt::format("pictures of one point at {:.2f} m fall {:.2f} px apart (one sigma), more than {:.2f}: "
+                    "record more boards there",
+                    worst.depth_m, worst.worst_px, options.most_ghosting_px));
+}
+
 void note(Calibration& c, const Recording& recording) {
   if (!c.layout.as_recorded)
     c.notes.push_back(
@@ -197,6 +219,30 @@ void note(Calibration& c, const Recording& recording) {
 }
 
 }  // namespace
+
+std::optional<DepthRange> good_range(const std::vector<Ghosting>& ghosting, double most_px) {
+  std::size_t best = 0, best_begin = 0, run = 0;
+  for (std::size_t i = 0; i < ghosting.size(); ++i) {
+    run = ghosting[i].worst_px <= most_px ? run + 1 : 0;
+    if (run > best) best = run, best_begin = i + 1 - run;
+  }
+  if (best == 0) return std::nullopt;
+  return DepthRange{ghosting[best_begin].depth_m, ghosting[best_begin + best - 1].depth_m};
+}
+
+std::string ghosting_text(const std::vector<Ghosting>& ghosting) {
+  const auto metres = [](double m) {
+    return std::isfinite(m) ? fmt::format("{:.2f} m", m) : std::string("infinity");
+  };
+  if (const auto range = good_range(ghosting, kFinePx))
+    return fmt::format("good for {} px between {} and {}", kFinePx, metres(range->from_m),
+                       metres(range->to_m));
+  const auto best = std::min_element(ghosting.begin(), ghosting.end(), [](const auto& a, const auto& b) {
+    return !(a.worst_px >= b.worst_px);  // NaN last
+  });
+  if (best == ghosting.end() || !std::isfinite(best->worst_px)) return {};
+  return fmt::format("good for {:.2f} px at best, at {}", best->worst_px, metres(best->depth_m));
+}
 
 Eigen::MatrixXd rigidly_aligned(const Eigen::MatrixXd& covariance,
                                 const std::vector<Eigen::Vector3d>& centres) {
@@ -238,9 +284,12 @@ Calibration calibrate(Observations observations, const Recording& recording,
   c.layout = fit_layout(placed, recording.rows, recording.cols);
   for (std::size_t i = 0; i < placed.size(); ++i) c.cameras.push_back(summary_of(c, static_cast<int>(i)));
   fill_rig(c, determined);
+  if (c.rig.nearest_seen_m > 0)
+    c.ghosting = ghosting(c.solution, c.layout, determined, working_depths(c.rig));
   c.cross_validation_px = cross_validate(c, options, reporter);
   judge(c, options);
   note(c, recording);
+  note_ghosting(c, options);
   return c;
 }
 

@@ -4,6 +4,7 @@
 #include <string>
 #include <vector>
 
+#include "calib/solve/ghosting.h"
 #include "calib/solve/joint_solve.h"
 #include "calib/solve/lattice.h"
 #include "core/json.h"
@@ -19,6 +20,7 @@ struct CalibrationOptions {
   double most_rms_px = 0.5;        ///< beyond it the verdict is not good
   double most_sigma = 0.1;         ///< of a centre in spacings: beyond it a camera is not determined
   double most_focal_sigma = 0.02;  ///< of a focal length, relative: the same
+  double most_ghosting_px = 0.5;   ///< at the depths boards were seen at; beyond it a note
   double least_coverage = 0.05;    ///< part of its picture that a camera's corners must span
 };
 
@@ -36,6 +38,8 @@ struct Calibration {
   Rig rig;
   std::vector<CameraSummary> cameras;
   std::optional<double> cross_validation_px;
+  /// Of the determined cameras, even in 1/z, from half the distance of the nearest board corner to infinity.
+  std::vector<Ghosting> ghosting;
   bool good = false;
   std::vector<std::string> reasons;  ///< why it is not good
   std::vector<std::string> notes;    ///< what is worth knowing though the verdict does not hang on it
@@ -51,6 +55,15 @@ struct Calibration {
 /// no set can be left out. Throws Error as seed_solve does.
 Calibration calibrate(Observations observations, const Recording& recording,
                       const CalibrationOptions& options = {}, const Reporter& reporter = {});
+
+/// The depths [m] between which all of `ghosting` stays within most_px, the longest such stretch in 1/z.
+struct DepthRange {
+  double from_m = 0, to_m = 0;  ///< to_m may be infinity
+};
+std::optional<DepthRange> good_range(const std::vector<Ghosting>& ghosting, double most_px);
+inline constexpr double kFinePx = 0.1;  ///< ghosting that nobody sees
+/// The ghosting in a sentence; empty where there is none to speak of.
+std::string ghosting_text(const std::vector<Ghosting>& ghosting);
 
 /// Covariance after rigid alignment of the centres on their true places: takes the six directions of rigid
 /// motion out of both sides of `covariance` (3 n x 3 n).

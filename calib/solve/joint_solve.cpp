@@ -8,6 +8,8 @@
 #include <limits>
 #include <numeric>
 
+#include "calib/solve/rotation_jacobian.h"
+
 extern "C" {
 #include <mrcal/mrcal.h>
 }
@@ -279,24 +281,11 @@ void note_residuals(const Observations& in, const std::vector<int>& order, const
   out.noise_px = freedom > 0 ? std::sqrt(weighted_sum_sq / freedom) : kNaN;
 }
 
-/// d centre / d (r, t) of x_cam = R(r) x + t: centre c = -R^T t, dc/dt = -R^T, dc/dr = [c]x J_r(r), J_r the
-/// right Jacobian of SO(3).
+/// d centre / d (r, t) of x_cam = R(r) x + t: centre c = -R^T t, dc/dt = -R^T, dc/dr = [c]x J_r(r).
 Eigen::Matrix<double, 3, 6> centre_jacobian(const Pose& cam_from_ref) {
-  const auto cross = [](const Eigen::Vector3d& v) {
-    Eigen::Matrix3d m;
-    m << 0, -v.z(), v.y(), v.z(), 0, -v.x(), -v.y(), v.x(), 0;
-    return m;
-  };
-  const Eigen::Vector3d r = vector_from_rotation(cam_from_ref.R);
-  const double angle = r.norm();
-  Eigen::Matrix3d Jr = Eigen::Matrix3d::Identity();
-  if (angle > 1e-6)
-    Jr += -(1 - std::cos(angle)) / (angle * angle) * cross(r) +
-          (angle - std::sin(angle)) / (angle * angle * angle) * cross(r) * cross(r);
-  else
-    Jr -= 0.5 * cross(r);
   Eigen::Matrix<double, 3, 6> J;
-  J << cross(cam_from_ref.centre()) * Jr, -cam_from_ref.R.transpose();
+  J << cross_matrix(cam_from_ref.centre()) * right_jacobian(vector_from_rotation(cam_from_ref.R)),
+      -cam_from_ref.R.transpose();
   return J;
 }
 
@@ -355,6 +344,27 @@ bool at_minimum(Factor& factor, const Problem::Linearisation& l) {
   return std::isfinite(cost) && decrease <= 1e-4 * cost + 1e-10 * l.measurements;
 }
 
+/// `scale`: of the packed state.
+void note_camera_covariance(const Problem& problem, mrcal_problem_selections_t what, Factor& factor,
+                            const Eigen::VectorXd& scale, JointSolution& out) {
+  const int n = static_cast<int>(out.cameras.size());
+  const int lens_states = static_cast<int>(out.cameras.front().intrinsics.size());
+  const int per_camera = lens_states + 6;
+  if (n * per_camera > kMostCameraStates) return;
+  // Without its core a lens's states begin behind it.
+  const int held = what.do_optimize_intrinsics_core ? 0 : 4;
+  Eigen::MatrixXd At = Eigen::MatrixXd::Zero(scale.size(), n * per_camera);
+  const auto pick = [&](int column, int state) { At(state, column) = scale[state]; };
+  for (int c = 0; c < n; ++c) {
+    if (const int lens = problem.lens_state(what, c); lens >= 0)
+      for (int k = held; k < lens_states; ++k) pick(c * per_camera + k, lens + k - held);
+    if (const int pose = problem.pose_state(what, c); pose >= 0)
+      for (int k = 0; k < 6; ++k) pick(c * per_camera + lens_states + k, pose + k);
+  }
+  out.camera_states = per_camera;
+  out.camera_covariance = At.transpose() * factor.solve(At);
+}
+
 void note_covariance(const Problem& problem, mrcal_problem_selections_t what, Factor& factor, int states,
                      JointSolution& out) {
   const int n = static_cast<int>(out.cameras.size());
@@ -372,6 +382,7 @@ void note_covariance(const Problem& problem, mrcal_problem_selections_t what, Fa
   const Eigen::MatrixXd covariance = At.transpose() * factor.solve(At);
   out.centre_covariance = covariance.topLeftCorner(3 * n, 3 * n);
   out.centre_covariance = 0.5 * (out.centre_covariance + out.centre_covariance.transpose()).eval();
+  note_camera_covariance(problem, what, factor, scale, out);
   for (int c = 0; c < n; ++c)
     out.focal_sigma.emplace_back(std::sqrt(covariance(3 * n + 2 * c, 3 * n + 2 * c)),
                                  std::sqrt(covariance(3 * n + 2 * c + 1, 3 * n + 2 * c + 1)));

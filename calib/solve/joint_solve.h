@@ -37,7 +37,14 @@ struct JointSolution {
   /// of each camera, sigma [px]. Of unit corner noise: multiply by noise_px^2 and noise_px. Empty if off.
   Eigen::MatrixXd centre_covariance;
   std::vector<Eigen::Vector2d> focal_sigma;
+  /// Covariance of all that a picture depends on, of unit corner noise: of each camera its lens parameters,
+  /// then rotation vector and translation [m] of cam_from_ref; camera_states a camera, camera 0's pose 0, as
+  /// is what was held. Empty if off, or if that is more than kMostCameraStates.
+  Eigen::MatrixXd camera_covariance;
+  int camera_states = 0;
 };
+
+inline constexpr int kMostCameraStates = 2500;
 
 /// The one joint solve: all lenses, camera poses, board poses and the board's bend, by mrcal's sparse dog
 /// leg.

@@ -30,6 +30,14 @@ Json camera_json(const RigCamera& rc, const CameraSummary& summary) {
       {"determined", known}};
 }
 
+Json ghosting_json(const std::vector<Ghosting>& ghosting) {
+  Json rows = Json::array();
+  for (const Ghosting& g : ghosting)
+    rows.push_back(
+        {{"depth_m", number(g.depth_m)}, {"rms_px", number(g.rms_px)}, {"worst_px", number(g.worst_px)}});
+  return rows;
+}
+
 }  // namespace
 
 Json report_json(const Calibration& c, double seconds, double seconds_corners) {
@@ -49,6 +57,7 @@ Json report_json(const Calibration& c, double seconds, double seconds_corners) {
            {{"rms_off_plane_m", number(c.rig.rms_off_plane_m)},
             {"spacing_m", {spacing(c.rig.s_step_m), spacing(c.rig.t_step_m)}}}},
           {"cross_validation_px", c.cross_validation_px ? number(*c.cross_validation_px) : Json(nullptr)},
+          {"ghosting", ghosting_json(c.ghosting)},
           {"verdict", {{"good", c.good}, {"reasons", c.reasons}}},
           {"notes", c.notes},
           {"seconds", seconds},

@@ -50,6 +50,42 @@ void add_verdict(Page& page, const Calibration& c) {
   page.add(" The board bends by {:.2f} and {:.2f} mm.</p>\n", 1e3 * s.warp_m.x(), 1e3 * s.warp_m.y());
 }
 
+/// One sigma over 1/z: line at the worst point of the picture, dashes rms; thin: kFinePx.
+void add_ghosting(Page& page, const Calibration& c) {
+  if (c.ghosting.size() < 2) return;
+  double top = 2 * kFinePx;
+  for (const Ghosting& g : c.ghosting)
+    if (std::isfinite(g.worst_px)) top = std::max(top, g.worst_px);
+  const double nearest = 1 / c.ghosting.front().depth_m;
+  const auto at = [&](const Ghosting& g, double px) {
+    return Eigen::Vector2d(560 - 500 / g.depth_m / nearest, 170 - 150 * px / top);
+  };
+  page.add(
+      "<h2>What it means for a picture</h2><p>{}. The cameras' pictures of one point fall this far apart, "
+      "one "
+      "sigma, where a picture is focused on it; line: at the worst point of the picture, dashes: rms over "
+      "the "
+      "picture. Boards were seen from {:.2f} to {:.2f} m.</p>\n<svg viewBox='0 0 610 200' width='610'>",
+      escaped(ghosting_text(c.ghosting)), c.rig.nearest_seen_m, c.rig.farthest_seen_m);
+  const double fine = 170 - 150 * kFinePx / top;
+  page.add("<path d='M60 {0:.1f}h500' stroke='#bbb'/><text x='30' y='{0:.1f}'>{1} px</text>", fine, kFinePx);
+  page.add("<text x='30' y='24'>{:.2f} px</text><path d='M60 20v150h500' stroke='#333' fill='none'/>", top);
+  for (const bool worst : {true, false}) {
+    page.add("<polyline fill='none' stroke='#c30' {} points='", worst ? "" : "stroke-dasharray='5 4'");
+    for (const Ghosting& g : c.ghosting) {
+      const Eigen::Vector2d p = at(g, worst ? g.worst_px : g.rms_px);
+      if (p.allFinite()) page.add("{:.1f},{:.1f} ", p.x(), p.y());
+    }
+    page.add("'/>");
+  }
+  for (std::size_t i = 0; i < c.ghosting.size(); i += i + 3 < c.ghosting.size() ? 2 : 1) {
+    const Ghosting& g = c.ghosting[i];
+    page.add("<text x='{:.1f}' y='190'>{}</text>", at(g, 0).x(),
+             std::isfinite(g.depth_m) ? fmt::format("{:.2f} m", g.depth_m) : "&infin;");
+  }
+  page.add("</svg>\n");
+}
+
 /// Lattice points as crosses, cameras as dots, remainders as lines drawn longer than they are.
 void add_layout(Page& page, const Calibration& c) {
   const Rig& rig = c.rig;
@@ -194,6 +230,7 @@ std::string report_page(const Calibration& c) {
       "figure{display:inline-block;margin:4px}figcaption{font-size:12px;text-align:center}</style>"
       "<h1>Calibration report</h1>\n";
   add_verdict(page, c);
+  add_ghosting(page, c);
   add_layout(page, c);
   add_histogram(page, c);
   page.add(

@@ -267,6 +267,80 @@ TEST_CASE("sigmas are those of the errors that noisy corners make") {
   check_sigmas([](unsigned seed) { return synthetic_scene(0.3, seed); });
 }
 
+/// Mean square over the cameras that see X, a point in the rig's frame, of what their pictures of it by the
+/// estimate and by the truth differ in, but for a shift and a change of disparity that they share.
+double ghosting_error_sq(const Calibration& c, const Scene& scene, const Eigen::Matrix4d& truth_from_rig,
+                         const Eigen::Vector3d& X) {
+  const Eigen::Vector3d Y = (truth_from_rig * X.homogeneous()).head<3>();
+  std::vector<Eigen::Vector2d> errors, places;
+  for (std::size_t i = 0; i < scene.truth.size(); ++i) {
+    const Camera &estimate = c.rig.cameras[i].camera, &truth = scene.truth[i];
+    const Eigen::Vector2d q = project(estimate, {estimate.cam_from_rig * X})[0];
+    if (!(q.x() >= 0 && q.y() >= 0 && q.x() <= 799 && q.y() <= 599)) continue;
+    errors.emplace_back(q - project(truth, {truth.cam_from_rig * Y})[0]);
+    places.emplace_back(estimate.cam_from_rig.centre().head<2>());
+  }
+  const auto n = static_cast<Eigen::Index>(errors.size());
+  Eigen::MatrixXd G = Eigen::MatrixXd::Zero(2 * n, 3);
+  Eigen::VectorXd e(2 * n);
+  for (Eigen::Index i = 0; i < n; ++i) {
+    G(2 * i, 0) = G(2 * i + 1, 1) = 1;
+    G.block<2, 1>(2 * i, 2) = places[i];
+    e.segment<2>(2 * i) = errors[i];
+  }
+  return (e - G * G.colPivHouseholderQr().solve(e)).squaredNorm() / static_cast<double>(n);
+}
+
+TEST_CASE("ghosting is as large as the errors that noisy corners make") {
+  double sum_sq = 0;
+  int count = 0;
+  for (unsigned seed = 1; seed <= 12; ++seed) {
+    const Scene scene = make_scene(3, 3, 8, {}, 0.3, seed);
+    CalibrationOptions options;
+    options.most_folds = 0;
+    const Calibration c = calibrate(scene.observations, scene.recording, options);
+    Eigen::Matrix3Xd a(3, 9), b(3, 9);
+    std::vector<int> all;
+    for (int i = 0; i < 9; ++i) {
+      a.col(i) = c.rig.cameras[i].camera.cam_from_rig.centre();
+      b.col(i) = scene.truth[i].cam_from_rig.centre();
+      all.push_back(i);
+    }
+    const Eigen::Matrix4d truth_from_rig = Eigen::umeyama(a, b, false);
+    const std::vector<double>& lens = c.rig.cameras[0].camera.intrinsics;
+    for (const double depth : {1.2, 4.0, 1e6}) {
+      const Ghosting stated = ghosting(c.solution, c.layout, all, {depth}).front();
+      CHECK(stated.rms_px <= stated.worst_px);
+      double error_sq = 0;
+      for (int j = 0; j < 3; ++j)
+        for (int i = 0; i < 5; ++i) {
+          const Eigen::Vector2d xy(800 * (0.2 * i - 0.4) / lens[0], 600 * (0.4 * j - 0.4) / lens[1]);
+          error_sq += ghosting_error_sq(c, scene, truth_from_rig, depth * xy.homogeneous()) / 15;
+        }
+      sum_sq += error_sq / std::pow(stated.rms_px, 2);
+      ++count;
+    }
+  }
+  std::printf("ghosting over its sigma, rms %.3f\n", std::sqrt(sum_sq / count));
+  CHECK(std::sqrt(sum_sq / count) > 0.85);
+  CHECK(std::sqrt(sum_sq / count) < 1.15);
+}
+
+TEST_CASE("the range that ghosting leaves") {
+  const auto row = [](double depth, double px) { return Ghosting{depth, px, px}; };
+  const double inf = INFINITY, nan = std::nan("");
+  const auto range = good_range({row(1, 0.2), row(2, 0.1), row(4, 0.05), row(8, nan), row(inf, 0.01)}, 0.1);
+  REQUIRE(range);
+  CHECK(range->from_m == 2);
+  CHECK(range->to_m == 4);
+  CHECK_FALSE(good_range({row(1, 0.2), row(2, nan)}, 0.1));
+  CHECK(ghosting_text({}).empty());
+  CHECK(ghosting_text({row(1, nan)}).empty());
+  CHECK_THAT(ghosting_text({row(1, nan), row(2, 0.3), row(inf, 0.4)}),
+             Contains("0.30 px") && Contains("2.00 m"));
+  CHECK_THAT(ghosting_text({row(1, 0.3), row(2, 0.05), row(inf, 0.04)}), Contains("2.00 m and infinity"));
+}
+
 TEST_CASE("the richer lens models find the same rig") {
   const Scene scene = make_scene(2, 3, 10, {}, 0.05);
   for (const Lens lens : {Lens::opencv8, Lens::splined}) {

@@ -1,0 +1,144 @@
+#include "calib/solve/ghosting.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "calib/solve/rotation_jacobian.h"
+
+extern "C" {
+#include <mrcal/mrcal.h>
+}
+
+namespace stuv {
+namespace {
+
+/// What one camera makes of a point: d e / d (its states), and its place (s, t).
+struct Sight {
+  int camera = 0;
+  Eigen::Matrix<double, 2, Eigen::Dynamic> J;
+  Eigen::Vector2d place;
+};
+
+/// `direction` + `inverse_m` * (a place) is the point over its depth, in the reference frame.
+struct Point {
+  Eigen::Vector3d direction = {0, 0, 1};
+  double inverse_m = 0;
+};
+
+class Sights {
+ public:
+  Sights(const JointSolution& solution, const Layout& layout, const std::vector<int>& which)
+      : solution_(solution), ref_from_rig_(layout.rig_from_ref.inverse()), which_(which) {
+    mrcal_lensmodel_from_name(&lens_, solution.cameras.front().lens_model.c_str());
+  }
+
+  /// The cameras that see a point of the rig's frame, x / z, y / z and 1 / z.
+  std::vector<Sight> of(const Eigen::Vector2d& xy, double inverse_m) const {
+    const Point point{ref_from_rig_.R * xy.homogeneous() + inverse_m * ref_from_rig_.t, inverse_m};
+    std::vector<Sight> sights;
+    for (const int c : which_) {
+      Sight sight{c, {}, {}};
+      if (see(point, sight)) sights.push_back(std::move(sight));
+    }
+    return sights;
+  }
+
+ private:
+  bool see(const Point& point, Sight& sight) const {
+    const Camera& camera = solution_.cameras[sight.camera];
+    const Pose& pose = camera.cam_from_rig;  // from ref, here
+    const Eigen::Vector3d p = pose.R * point.direction + point.inverse_m * pose.t;
+    if (!(p.z() > 0)) return false;
+    const auto lens_states = static_cast<Eigen::Index>(camera.intrinsics.size());
+    mrcal_point3_t at = {};
+    at.x = p.x(), at.y = p.y(), at.z = p.z();
+    mrcal_point2_t q;
+    Eigen::Matrix<double, 2, 3, Eigen::RowMajor> dq_dp;
+    Eigen::Matrix<double, 2, Eigen::Dynamic, Eigen::RowMajor> dq_dlens(2, lens_states);
+    if (!mrcal_project(&q, reinterpret_cast<mrcal_point3_t*>(dq_dp.data()), dq_dlens.data(), &at, 1, &lens_,
+                       camera.intrinsics.data()) ||
+        !(q.x >= 0 && q.y >= 0 && q.x <= camera.width - 1 && q.y <= camera.height - 1))
+      return false;
+    const Eigen::Matrix3d dp_dr =
+        -pose.R * cross_matrix(point.direction) * right_jacobian(vector_from_rotation(pose.R));
+    const Pose rig_from_cam = (pose * ref_from_rig_).inverse();
+    const Eigen::Rotation2Dd upright(std::atan2(rig_from_cam.R(1, 0), rig_from_cam.R(0, 0)));
+    sight.J.resize(2, lens_states + 6);
+    sight.J << dq_dlens, dq_dp * dp_dr, point.inverse_m * dq_dp;
+    sight.J = upright.toRotationMatrix() * sight.J;
+    sight.place = rig_from_cam.t.head<2>();
+    return true;
+  }
+
+  const JointSolution& solution_;
+  Pose ref_from_rig_;
+  const std::vector<int>& which_;
+  mrcal_lensmodel_t lens_ = {};
+};
+
+Eigen::MatrixXd covariance_of(const std::vector<Sight>& sights, const JointSolution& solution) {
+  const auto n = static_cast<Eigen::Index>(sights.size());
+  const int k = solution.camera_states;
+  Eigen::MatrixXd S(2 * n, 2 * n);
+  for (Eigen::Index a = 0; a < n; ++a)
+    for (Eigen::Index b = 0; b <= a; ++b) {
+      const Eigen::Matrix2d block =
+          sights[a].J * solution.camera_covariance.block(k * sights[a].camera, k * sights[b].camera, k, k) *
+          sights[b].J.transpose();
+      S.block<2, 2>(2 * a, 2 * b) = block;
+      S.block<2, 2>(2 * b, 2 * a) = block.transpose();
+    }
+  return S;
+}
+
+/// trace(P S P), P off the shifts and the change of disparity.
+double ghosting_variance(const std::vector<Sight>& sights, const Eigen::MatrixXd& S) {
+  const auto n = static_cast<Eigen::Index>(sights.size());
+  Eigen::Vector2d mean = Eigen::Vector2d::Zero();
+  for (const Sight& sight : sights) mean += sight.place / static_cast<double>(n);
+  Eigen::MatrixXd G = Eigen::MatrixXd::Zero(2 * n, 3);
+  for (Eigen::Index i = 0; i < n; ++i) {
+    G(2 * i, 0) = G(2 * i + 1, 1) = 1 / std::sqrt(static_cast<double>(n));
+    G.block<2, 1>(2 * i, 2) = sights[i].place - mean;
+  }
+  const double extent = G.col(2).norm();
+  if (extent > 0) G.col(2) /= extent;
+  return std::max(0.0, S.trace() - (G.transpose() * S * G).trace());
+}
+
+Ghosting ghosting_at(const Sights& sights, const JointSolution& solution, const Camera& reference,
+                     double depth_m) {
+  double sum_sq = 0, worst = 0;
+  int count = 0;
+  for (int j = 0; j < 3; ++j)
+    for (int i = 0; i < 5; ++i) {
+      // Tenths from the border to the middle, and back.
+      const Eigen::Vector2d xy(reference.width * (0.1 + 0.2 * i - 0.5) / reference.intrinsics[0],
+                               reference.height * (0.1 + 0.4 * j - 0.5) / reference.intrinsics[1]);
+      const std::vector<Sight> seen = sights.of(xy, 1 / depth_m);
+      if (seen.size() < 2) continue;
+      const double variance = ghosting_variance(seen, covariance_of(seen, solution));
+      const double square = std::pow(solution.noise_px, 2) * variance / static_cast<double>(seen.size());
+      sum_sq += square;
+      worst = std::max(worst, square);
+      ++count;
+    }
+  constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+  if (count == 0) return {depth_m, kNaN, kNaN};
+  return {depth_m, std::sqrt(sum_sq / count), std::sqrt(worst)};
+}
+
+}  // namespace
+
+std::vector<Ghosting> ghosting(const JointSolution& solution, const Layout& layout,
+                               const std::vector<int>& which, const std::vector<double>& depths_m) {
+  std::vector<Ghosting> result;
+  if (solution.camera_covariance.size() == 0 || which.size() < 2) return result;
+  const Sights sights(solution, layout, which);
+  for (const double depth : depths_m)
+    result.push_back(ghosting_at(sights, solution, solution.cameras[which.front()], depth));
+  return result;
+}
+
+}  // namespace stuv
