@@ -198,9 +198,10 @@ void note_ghosting(Calibration& c, const CalibrationOptions& options) {
       worst = g;
   if (worst.worst_px > options.most_ghosting_px)
     c.notes.push_back(
-        fmt::format("pictures of one point at {:.2f} m fall {:.2f} px apart (one sigma), more than {:.2f}: "
-                    "record more boards there",
-                    worst.depth_m, worst.worst_px, options.most_ghosting_px));
+        fmt::format("pictures of one point at {:.2f} m fall up to {:.2f} px apart (one sigma), more than "
+                    "{:.2f}, most that of camera {}: show it more boards, out to its picture's corners",
+                    worst.depth_m, worst.worst_px, options.most_ghosting_px,
+                    c.observations.camera_names[worst.worst_camera]));
 }
 
 void note(Calibration& c, const Recording& recording) {
@@ -255,9 +256,7 @@ Eigen::MatrixXd rigidly_aligned(const Eigen::MatrixXd& covariance,
   for (Eigen::Index i = 0; i < n; ++i) {
     // Of one length, so that the rank tells a line from a plane.
     const Eigen::Vector3d c = (centres[i] - mean) / extent;
-    Eigen::Matrix3d cross;
-    cross << 0, -c.z(), c.y(), c.z(), 0, -c.x(), -c.y(), c.x(), 0;
-    G.block<3, 6>(3 * i, 0) << Eigen::Matrix3d::Identity(), cross;
+    G.block<3, 6>(3 * i, 0) << Eigen::Matrix3d::Identity(), cross_matrix(c);
   }
   Eigen::JacobiSVD<Eigen::MatrixXd> svd(G, Eigen::ComputeThinU);
   svd.setThreshold(1e-6);

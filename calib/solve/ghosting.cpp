@@ -4,8 +4,6 @@
 #include <cmath>
 #include <limits>
 
-#include "calib/solve/rotation_jacobian.h"
-
 extern "C" {
 #include <mrcal/mrcal.h>
 }
@@ -92,8 +90,8 @@ Eigen::MatrixXd covariance_of(const std::vector<Sight>& sights, const JointSolut
   return S;
 }
 
-/// trace(P S P), P off the shifts and the change of disparity.
-double ghosting_variance(const std::vector<Sight>& sights, const Eigen::MatrixXd& S) {
+/// Each camera's part of trace(P S P), P off the shifts and the change of disparity.
+Eigen::VectorXd ghosting_variances(const std::vector<Sight>& sights, const Eigen::MatrixXd& S) {
   const auto n = static_cast<Eigen::Index>(sights.size());
   Eigen::Vector2d mean = Eigen::Vector2d::Zero();
   for (const Sight& sight : sights) mean += sight.place / static_cast<double>(n);
@@ -104,29 +102,40 @@ double ghosting_variance(const std::vector<Sight>& sights, const Eigen::MatrixXd
   }
   const double extent = G.col(2).norm();
   if (extent > 0) G.col(2) /= extent;
-  return std::max(0.0, S.trace() - (G.transpose() * S * G).trace());
+  const Eigen::MatrixXd P = Eigen::MatrixXd::Identity(2 * n, 2 * n) - G * G.transpose();
+  const Eigen::VectorXd variance = (P * S * P).diagonal();
+  return Eigen::VectorXd::NullaryExpr(n,
+                                      [&](Eigen::Index i) { return variance[2 * i] + variance[2 * i + 1]; });
 }
 
 Ghosting ghosting_at(const Sights& sights, const JointSolution& solution, const Camera& reference,
                      double depth_m) {
-  double sum_sq = 0, worst = 0;
+  constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+  Ghosting result{depth_m, kNaN, kNaN, -1};
+  double sum_sq = 0, worst = -1;
   int count = 0;
   for (int j = 0; j < 3; ++j)
     for (int i = 0; i < 5; ++i) {
-      // Tenths from the border to the middle, and back.
+      // A tenth of the picture in from its border.
       const Eigen::Vector2d xy(reference.width * (0.1 + 0.2 * i - 0.5) / reference.intrinsics[0],
                                reference.height * (0.1 + 0.4 * j - 0.5) / reference.intrinsics[1]);
       const std::vector<Sight> seen = sights.of(xy, 1 / depth_m);
       if (seen.size() < 2) continue;
-      const double variance = ghosting_variance(seen, covariance_of(seen, solution));
-      const double square = std::pow(solution.noise_px, 2) * variance / static_cast<double>(seen.size());
+      const Eigen::VectorXd variances = ghosting_variances(seen, covariance_of(seen, solution));
+      const double square = std::pow(solution.noise_px, 2) * variances.mean();
+      if (!std::isfinite(square)) return {depth_m, kNaN, kNaN, -1};
       sum_sq += square;
-      worst = std::max(worst, square);
       ++count;
+      if (square <= worst) continue;
+      worst = square;
+      Eigen::Index most = 0;
+      variances.maxCoeff(&most);
+      result.worst_camera = seen[most].camera;
     }
-  constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
-  if (count == 0) return {depth_m, kNaN, kNaN};
-  return {depth_m, std::sqrt(sum_sq / count), std::sqrt(worst)};
+  if (count == 0) return result;
+  result.rms_px = std::sqrt(sum_sq / count);
+  result.worst_px = std::sqrt(std::max(0.0, worst));
+  return result;
 }
 
 }  // namespace

@@ -12,8 +12,9 @@ namespace stuv {
 struct Ghosting {
   double depth_m = 0;  ///< infinity counts
   /// Over points across the reference picture, of the root mean square over cameras [px]: their rms and the
-  /// largest; NaN if no point is seen by two cameras.
+  /// largest; NaN if no point is seen by two cameras, or the covariance is not finite.
   double rms_px = 0, worst_px = 0;
+  int worst_camera = -1;  ///< the one that is farthest off at the worst point; -1: none
 };
 
 /// For points X at distance z in front of the rig's plane, where two or more of the cameras `which` see them:

@@ -8,8 +8,6 @@
 #include <limits>
 #include <numeric>
 
-#include "calib/solve/rotation_jacobian.h"
-
 extern "C" {
 #include <mrcal/mrcal.h>
 }

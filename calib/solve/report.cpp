@@ -30,11 +30,15 @@ Json camera_json(const RigCamera& rc, const CameraSummary& summary) {
       {"determined", known}};
 }
 
-Json ghosting_json(const std::vector<Ghosting>& ghosting) {
+Json ghosting_json(const Calibration& c) {
   Json rows = Json::array();
-  for (const Ghosting& g : ghosting)
+  for (const Ghosting& g : c.ghosting)
     rows.push_back(
-        {{"depth_m", number(g.depth_m)}, {"rms_px", number(g.rms_px)}, {"worst_px", number(g.worst_px)}});
+        {{"depth_m", number(g.depth_m)},
+         {"rms_px", number(g.rms_px)},
+         {"worst_px", number(g.worst_px)},
+         {"worst_camera",
+          g.worst_camera < 0 ? Json(nullptr) : Json(c.observations.camera_names[g.worst_camera])}});
   return rows;
 }
 
@@ -57,7 +61,7 @@ Json report_json(const Calibration& c, double seconds, double seconds_corners) {
            {{"rms_off_plane_m", number(c.rig.rms_off_plane_m)},
             {"spacing_m", {spacing(c.rig.s_step_m), spacing(c.rig.t_step_m)}}}},
           {"cross_validation_px", c.cross_validation_px ? number(*c.cross_validation_px) : Json(nullptr)},
-          {"ghosting", ghosting_json(c.ghosting)},
+          {"ghosting", ghosting_json(c)},
           {"verdict", {{"good", c.good}, {"reasons", c.reasons}}},
           {"notes", c.notes},
           {"seconds", seconds},

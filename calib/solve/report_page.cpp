@@ -52,7 +52,8 @@ void add_verdict(Page& page, const Calibration& c) {
 
 /// One sigma over 1/z: line at the worst point of the picture, dashes rms; thin: kFinePx.
 void add_ghosting(Page& page, const Calibration& c) {
-  if (c.ghosting.size() < 2) return;
+  const std::string meaning = ghosting_text(c.ghosting);
+  if (meaning.empty()) return;
   double top = 2 * kFinePx;
   for (const Ghosting& g : c.ghosting)
     if (std::isfinite(g.worst_px)) top = std::max(top, g.worst_px);
@@ -61,12 +62,12 @@ void add_ghosting(Page& page, const Calibration& c) {
     return Eigen::Vector2d(560 - 500 / g.depth_m / nearest, 170 - 150 * px / top);
   };
   page.add(
-      "<h2>What it means for a picture</h2><p>{}. The cameras' pictures of one point fall this far apart, "
-      "one "
-      "sigma, where a picture is focused on it; line: at the worst point of the picture, dashes: rms over "
-      "the "
-      "picture. Boards were seen from {:.2f} to {:.2f} m.</p>\n<svg viewBox='0 0 610 200' width='610'>",
-      escaped(ghosting_text(c.ghosting)), c.rig.nearest_seen_m, c.rig.farthest_seen_m);
+      "<h2>What it means for a picture</h2><p>This calibration is {}. The cameras' pictures of one point "
+      "fall this far apart, one sigma, where a picture is focused on it; line: at the worst point of the "
+      "picture, "
+      "dashes: rms over the picture. Boards were seen from {:.2f} to {:.2f} m.</p>\n"
+      "<svg viewBox='0 0 610 200' width='610'>",
+      meaning, c.rig.nearest_seen_m, c.rig.farthest_seen_m);
   const double fine = 170 - 150 * kFinePx / top;
   page.add("<path d='M60 {0:.1f}h500' stroke='#bbb'/><text x='30' y='{0:.1f}'>{1} px</text>", fine, kFinePx);
   page.add("<text x='30' y='24'>{:.2f} px</text><path d='M60 20v150h500' stroke='#333' fill='none'/>", top);

@@ -19,7 +19,7 @@ Eigen::Matrix<double, 2, 6> pose_derivative(const Eigen::Matrix<double, 2, 3>& b
                                             const Eigen::Vector3d& x) {
   Eigen::Matrix<double, 2, 6> J;
   J.leftCols<3>() = by_point * pose.R;
-  J.rightCols<3>() = -J.leftCols<3>() * skew(x);
+  J.rightCols<3>() = -J.leftCols<3>() * cross_matrix(x);
   return J;
 }
 

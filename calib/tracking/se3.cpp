@@ -4,12 +4,6 @@
 
 namespace stuv::tracking {
 
-Eigen::Matrix3d skew(const Eigen::Vector3d& w) {
-  Eigen::Matrix3d W;
-  W << 0, -w.z(), w.y(), w.z(), 0, -w.x(), -w.y(), w.x(), 0;
-  return W;
-}
-
 Pose exp(const Twist& twist) {
   const Eigen::Vector3d v = twist.head<3>(), w = twist.tail<3>();
   const double p2 = w.squaredNorm(), p = std::sqrt(p2);
@@ -20,7 +14,7 @@ Pose exp(const Twist& twist) {
     b = 2 * half * half / p2;
     c = (1 - a) / p2;
   }
-  const Eigen::Matrix3d W = skew(w), W2 = W * W;
+  const Eigen::Matrix3d W = cross_matrix(w), W2 = W * W;
   const Eigen::Matrix3d I = Eigen::Matrix3d::Identity();
   return {I + a * W + b * W2, (I + b * W + c * W2) * v};
 }
@@ -35,7 +29,7 @@ Twist log(const Pose& pose) {
   const double p = w.norm();
   // V^-1 = I - W / 2 + d W^2
   const double d = p < 1e-3 ? 1.0 / 12 + p * p / 720 : (1 - p / 2 * cosine / sine) / (p * p);
-  const Eigen::Matrix3d W = skew(w);
+  const Eigen::Matrix3d W = cross_matrix(w);
   Twist twist;
   twist << (Eigen::Matrix3d::Identity() - 0.5 * W + d * W * W) * pose.t, w;
   return twist;

@@ -11,15 +11,12 @@ namespace stuv::tracking {
 using Twist = Eigen::Matrix<double, 6, 1>;
 using Matrix6 = Eigen::Matrix<double, 6, 6>;
 
-/// Lie algebra of a rotation: skew(w) x = w x x.
-Eigen::Matrix3d skew(const Eigen::Vector3d& w);
-
 /// exp: se(3) -> SE(3), closed form with series near angle 0.
 ///
 ///   R = I + a W + b W^2,  t = (I + b W + c W^2) v,  a = sin p / p, b = (1 - cos p) / p^2, c = (p - sin p) /
 ///   p^3
 ///
-/// W = skew(w), p = |w|. Defined for any finite twist.
+/// W = cross_matrix(w), p = |w|. Defined for any finite twist.
 Pose exp(const Twist& twist);
 
 /// The inverse of exp with |w| <= pi. Accurate to rounding near 0 and near pi, where the axis comes from the

@@ -67,7 +67,7 @@ struct Normalisation {
     // x + w x (x - centre) + radius v': v = radius v' + centre x w
     Matrix6 M = Matrix6::Identity();
     M.topLeftCorner<3, 3>() *= radius;
-    M.topRightCorner<3, 3>() = skew(centre);
+    M.topRightCorner<3, 3>() = cross_matrix(centre);
     return M * c * M.transpose();
   }
 };

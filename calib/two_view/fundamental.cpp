@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "core/pose.h"
+
 namespace stuv {
 namespace {
 
@@ -108,12 +110,6 @@ Eigen::Matrix3d least_squares(std::span<const Match> matches, std::span<const do
 }
 
 }  // namespace
-
-Eigen::Matrix3d cross_matrix(const Eigen::Vector3d& v) {
-  Eigen::Matrix3d m;
-  m << 0, -v.z(), v.y(), v.z(), 0, -v.x(), -v.y(), v.x(), 0;
-  return m;
-}
 
 Eigen::Matrix3d unit_scale(const Eigen::Matrix3d& F) {
   Eigen::Index r = 0, c = 0;

@@ -16,7 +16,6 @@ namespace stuv {
 
 using Matrix34d = Eigen::Matrix<double, 3, 4>;
 
-Eigen::Matrix3d cross_matrix(const Eigen::Vector3d& v);
 /// Of Frobenius norm 1, its largest entry positive: one F for all multiples.
 Eigen::Matrix3d unit_scale(const Eigen::Matrix3d& F);
 /// The closest matrix of rank 2 (Frobenius), unit_scale.

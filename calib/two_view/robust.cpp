@@ -5,6 +5,7 @@
 
 #include "calib/two_view/fundamental.h"
 #include "calib/two_view/maximum_likelihood.h"
+#include "core/pose.h"
 
 namespace stuv {
 namespace {

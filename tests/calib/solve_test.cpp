@@ -326,8 +326,34 @@ TEST_CASE("ghosting is as large as the errors that noisy corners make") {
   CHECK(std::sqrt(sum_sq / count) < 1.15);
 }
 
+TEST_CASE("ghosting that is not known is no number") {
+  const Scene scene = make_scene(2, 2, 8, {}, 0.3);
+  Calibration c = calibrate(scene.observations, scene.recording, {});
+  REQUIRE(c.ghosting.size() == 12);
+  CHECK(c.ghosting.front().worst_px > 0);
+  CHECK(ghosting(c.solution, c.layout, {0}, {1}).empty());
+  // Nearer than the cameras' fields meet.
+  const Ghosting near = ghosting(c.solution, c.layout, {0, 1, 2, 3}, {0.01}).front();
+  CHECK(std::isnan(near.worst_px));
+  CHECK(near.worst_camera == -1);
+  JointSolution broken = c.solution;
+  broken.noise_px = std::nan("");
+  CHECK(std::isnan(ghosting(broken, c.layout, {0, 1, 2, 3}, {1}).front().worst_px));
+  broken = c.solution;
+  broken.camera_covariance(3, 3) = std::nan("");
+  CHECK(std::isnan(ghosting(broken, c.layout, {0, 1, 2, 3}, {1}).front().rms_px));
+}
+
+TEST_CASE("a camera that sees fewer boards than the others is the one that ghosts") {
+  Scene scene = make_scene(2, 3, 12, {}, 0.3);
+  std::erase_if(scene.observations.boards, [](const auto& b) { return b.camera == 4 && b.set > 1; });
+  const Calibration c = calibrate(scene.observations, scene.recording, {});
+  REQUIRE(c.rig.cameras[4].determined);
+  for (const Ghosting& g : c.ghosting) CHECK(g.worst_camera == 4);
+}
+
 TEST_CASE("the range that ghosting leaves") {
-  const auto row = [](double depth, double px) { return Ghosting{depth, px, px}; };
+  const auto row = [](double depth, double px) { return Ghosting{depth, px, px, 0}; };
   const double inf = INFINITY, nan = std::nan("");
   const auto range = good_range({row(1, 0.2), row(2, 0.1), row(4, 0.05), row(8, nan), row(inf, 0.01)}, 0.1);
   REQUIRE(range);

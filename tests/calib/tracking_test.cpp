@@ -31,7 +31,7 @@ double angle_between(const Pose& a, const Pose& b) { return tracking::log(a * b.
 /// The power series of exp, as a reference.
 Eigen::Matrix4d series_exp(const Twist& twist) {
   Eigen::Matrix4d A = Eigen::Matrix4d::Zero();
-  A.topLeftCorner<3, 3>() = skew(twist.tail<3>());
+  A.topLeftCorner<3, 3>() = cross_matrix(twist.tail<3>());
   A.topRightCorner<3, 1>() = twist.head<3>();
   Eigen::Matrix4d sum = Eigen::Matrix4d::Identity(), term = sum;
   for (int k = 1; k < 60; ++k) {

@@ -517,6 +517,7 @@ TEST_CASE("vivid: 9 and 16 cameras for 10 s, against v4l2-ctl", "[rig]") {
       if (!set.complete()) fmt::print("set {} is incomplete\n", set.name);
     shell(fmt::format("umount {}", disk.string()));
     fs::remove(disk);
+    CHECK(cpu_ms < 1.3 * peer_cpu_ms);  // with room for what else the machine does
     // No set mixes two beats, however busy the machine is.
     CHECK(times.spread_ms < 33.4);
     CHECK(report["skew_ms"]["worst"].get<double>() < times.spread_ms + 2 * times.stray_ms);
