@@ -97,9 +97,11 @@ void add_layout(Page& page, const Calibration& c) {
     if (rc.determined) worst = std::max(worst, rc.off_lattice_m.head<2>().norm());
   }
   const double spacing = std::max({1e-6, rig.s_step_m.norm(), rig.t_step_m.norm()});
-  const double exaggerate = std::max(1.0, std::floor(0.35 * spacing / worst));
   const double width = 900, margin = 50;
   const double scale = (width - 2 * margin) / std::max(box.sizes().x(), std::max(spacing, box.sizes().y()));
+  // No dot leaves the drawing.
+  const double longest = std::min(0.35 * spacing, (margin - 8) / scale);
+  const double exaggerate = std::max(1.0, std::floor(longest / worst));
   const double height = 2 * margin + scale * box.sizes().y();
   page.add(
       "<h2>Layout</h2><p>{} x {} lattice, spacing {:.2f} x {:.2f} mm (s x t), {:.2f} mm rms off the plane. "
