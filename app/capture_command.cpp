@@ -109,7 +109,7 @@ class Watch {
       if (!camera.live)
         fmt::print(stderr, "  GONE\n");
       else if (glance.known)
-        fmt::print(stderr, "  level {:3.0f} %  clipped {:4.1f} %  sharpness {:4.1f}\n", 100 * glance.level,
+        fmt::print(stderr, "  exposure {:3.0f} %  clipped {:4.1f} %  sharpness {:4.1f}\n", 100 * glance.level,
                    100 * glance.clipped, glance.sharpness);
       else
         fmt::print(stderr, "\n");
