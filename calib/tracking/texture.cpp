@@ -211,6 +211,19 @@ std::vector<PointMatch> follow_texture(const WarpedView& warped, const Grey& fra
   return matches;
 }
 
+double noise_of(const Grey& picture) {
+  std::vector<int> sizes;
+  for (int y = 1; y + 1 < picture.height; y += 2)
+    for (int x = 1; x + 1 < picture.width; x += 3) {
+      const std::uint8_t *a = picture.row(y - 1) + x, *b = picture.row(y) + x, *c = picture.row(y + 1) + x;
+      sizes.push_back(std::abs(a[-1] + a[1] + c[-1] + c[1] + 4 * b[0] - 2 * (a[0] + c[0] + b[-1] + b[1])));
+    }
+  if (sizes.empty()) return 0;
+  const auto middle = sizes.begin() + static_cast<std::ptrdiff_t>(sizes.size() / 2);
+  std::nth_element(sizes.begin(), middle, sizes.end());
+  return 1.4826 * *middle / 6;  // the mask's squares sum to 36
+}
+
 double correlation(const WarpedView& warped, const Grey& frame) {
   double n = 0, a = 0, b = 0, aa = 0, bb = 0, ab = 0;
   for (int y = 0; y < warped.seen.height; ++y)
@@ -219,9 +232,14 @@ double correlation(const WarpedView& warped, const Grey& frame) {
       const double u = warped.picture.at(x, y), v = frame.at(x + warped.depth.x0, y + warped.depth.y0);
       n += 1, a += u, b += v, aa += u * u, bb += v * v, ab += u * v;
     }
-  const double va = aa - a * a / n, vb = bb - b * b / n;
-  if (n < 100 || !(va > n) || !(vb > n)) return std::numeric_limits<double>::quiet_NaN();
-  return (ab - a * b / n) / std::sqrt(va * vb);
+  constexpr double nan = std::numeric_limits<double>::quiet_NaN();
+  if (n < 100) return nan;
+  const double noise = noise_of(frame), noise_var = std::max(0.5, noise * noise);
+  const double va = aa / n - a * a / (n * n), vb = bb / n - b * b / (n * n), cov = ab / n - a * b / (n * n);
+  if (!(va > 4 * noise_var)) return nan;
+  // The frame's own contrast may be less: then it does not look like the view.
+  const double signal = (va - noise_var) * std::max(noise_var, vb - noise_var);
+  return std::clamp(cov / std::sqrt(signal), -1.0, 1.0);
 }
 
 }  // namespace stuv::tracking

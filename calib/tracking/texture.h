@@ -45,8 +45,13 @@ WarpedView warp_view(const TexturedView& view, const ObjectModel& model, const L
 std::vector<PointMatch> follow_texture(const WarpedView& warped, const Grey& frame, const ImageF& rays,
                                        const Pose& cam_from_object, int most_points);
 
-/// Zero-mean normalised correlation of the warped view with the frame over the seen pixels; NaN with fewer
-/// than 100 of them or without contrast.
+/// Zero-mean normalised correlation of the warped view with the frame over the seen pixels, freed of what
+/// their noise takes from it: contrast is what the variance is above the pictures' noise. NaN with fewer than
+/// 100 pixels, or if the warped view has no more contrast than twice the noise: a plain side looks like any.
 double correlation(const WarpedView& warped, const Grey& frame);
+
+/// Standard deviation of a picture's noise [grey levels], from the median of its second differences
+/// (Immerkaer, CVIU 64(2), 1996, with the median in place of the mean: texture is no noise).
+double noise_of(const Grey& picture);
 
 }  // namespace stuv::tracking

@@ -13,6 +13,7 @@
 #include <set>
 
 #include "calib/tracking/texture.h"
+#include "calib/tracking/view_search.h"
 #include "core/error.h"
 #include "core/parallel.h"
 
@@ -31,6 +32,10 @@ constexpr double kPointWeight = 10;
 constexpr double kModelError_px = 0.6;
 /// Texture: corners looked for, and how many must be found to trust their pose.
 constexpr int kMostCorners = 60, kLeastCorners = 6;
+/// Places that look like a taught view, where keypoints do not say where the object is: how many are tried,
+/// and how much more likely a better correlation makes one.
+constexpr int kViewPlaces = 8;
+constexpr double kViewLikelihood = 20;
 /// Keypoint poses drawn for each particle that starts from one: minimal sets often hold a wrong match.
 constexpr int kHypothesesPerParticle = 6;
 /// A frame's keypoints are drawn from again where the pose that comes out is no good.
@@ -39,6 +44,8 @@ constexpr int kStarts = 3;
 constexpr double kMostJump = 5;
 /// Cosine between viewing directions up to which a taught view must look like the frame (25 degrees).
 constexpr double kComparable = 0.906;
+/// Part of the edge samples that must match where there are no corners to follow.
+constexpr double kSurePart = 0.8;
 /// Frames after a loss during which the old states are kept among the particles.
 constexpr int kKeptFrames = 15;
 
@@ -173,6 +180,22 @@ struct Tracker::State {
     out = resample(candidates, normalised_weights(candidates), count, 0.5);
     // Equal copies would stay equal.
     for (Particle& p : out) p.pose = p.pose * exp(noise_at(p.pose, 0.5 * options.noise_px));
+    return true;
+  }
+
+  /// Particles from places that look like a taught view, for objects without enough keypoints.
+  bool particles_from_views(const Grey& frame, int count, std::vector<Particle>& out) {
+    std::vector<Particle> candidates;
+    for (const ViewMatch& m : search_views(views, frame, rays, kViewPlaces)) {
+      Particle p;
+      p.pose = m.cam_from_object;
+      p.log_weight = kViewLikelihood * m.correlation;
+      candidates.push_back(p);
+    }
+    if (candidates.empty()) return false;
+    out = resample(candidates, normalised_weights(candidates), count, 0.5);
+    // The places are known to a pixel of a small picture, turns and sizes as coarsely.
+    for (Particle& p : out) p.pose = p.pose * exp(noise_at(p.pose, 2 * options.noise_px));
     return true;
   }
 
@@ -366,7 +389,8 @@ struct Tracker::State {
     if (f.correlation < options.lost_correlation || (must_compare && std::isnan(f.correlation))) return true;
     // An object that looks as taught may have edges that are faint or hidden.
     const bool looks_right =
-        f.correlation > 1.5 * options.lost_correlation && f.texture_points >= kLeastCorners;
+        f.correlation > 1.5 * options.lost_correlation &&
+        (f.texture_points >= kLeastCorners || f.edges.matched >= kSurePart * f.edges.visible);
     if (must_compare && !looks_right) return true;
     const double least_part = looks_right ? 0.5 * options.lost_part : options.lost_part;
     return f.edges.matched < least_part * f.edges.visible;
@@ -375,7 +399,7 @@ struct Tracker::State {
   // --- one frame -------------------------------------------------------------------------------------------
 
   /// Fills `particles`; false if there is nothing to start from.
-  bool predict(const Grey& frame, TrackedFrame& out) {
+  bool predict(const Grey& frame, bool by_views, TrackedFrame& out) {
     texture_points.clear();
     if (!particles.empty() && !lost) {
       move_particles();
@@ -388,7 +412,8 @@ struct Tracker::State {
     }
     const StageClock clock(out.seconds.keypoints);
     std::vector<Particle> fresh;
-    const bool found = particles_from_keypoints(frame, options.particles, fresh);
+    const bool found = (!by_views && particles_from_keypoints(frame, options.particles, fresh)) ||
+                       particles_from_views(frame, options.particles, fresh);
     if (!particles.empty() && frames_lost < kKeptFrames) {
       move_particles();
       if (!found) return true;
@@ -457,7 +482,9 @@ struct Tracker::State {
       gradient = gradient_of(frame, 1.0, options.contrast);
     }
     for (int start = 0; start < kStarts; ++start) {
-      if (options.filter ? !predict(frame, out) : !predict_alone(gradient, frame, out)) return out;
+      // The last try is by looks, should keypoints mislead.
+      if (options.filter ? !predict(frame, start + 1 == kStarts, out) : !predict_alone(gradient, frame, out))
+        return out;
       estimate_pose(gradient, frame, out);
       if (!out.lost || !out.initialised) break;
     }
@@ -556,7 +583,7 @@ struct Tracker::State {
   std::mt19937_64 random;
   std::vector<Particle> particles;
   std::vector<Pose> before;
-  std::vector<PointMatch> matches;         ///< keypoints of frame number `matches_frame`
+  std::vector<KeypointMatch> matches;      ///< keypoints of frame number `matches_frame`
   std::vector<PointMatch> texture_points;  ///< of this frame, where the motion so far led
   std::uint64_t matches_frame = 0;
   Pose estimate, estimate_now;

@@ -87,6 +87,7 @@ struct Scene {
   bool cluttered = false;  ///< the object lies on a calibration grid, among scraps
   double floor_z = 0.06;   ///< of the plane it lies on: object z [m], behind it
   double reach = 1e3;      ///< no point of the object is farther from its origin [m]
+  double gain = 1;         ///< of the exposure
   Eigen::Vector3d light = Eigen::Vector3d(0.4, 0.7, -0.6).normalized();
 };
 
@@ -146,8 +147,8 @@ inline Grey photograph(const Scene& scene, const Camera& camera, const std::vect
           else
             sum += shade(scene, pose.centre(), pose.R.transpose() * rays[i]);
         }
-      const double level =
-          255 * sum / (4.0 * static_cast<double>(exposure.size())) + noise * (hashed(x, y, seed) - 0.5);
+      const double level = 255 * scene.gain * sum / (4.0 * static_cast<double>(exposure.size())) +
+                           noise * (hashed(x, y, seed) - 0.5);
       grey.at(x, y) = static_cast<std::uint8_t>(std::lround(std::clamp(level, 0.0, 255.0)));
     }
   });
