@@ -19,9 +19,10 @@ struct DepthPatch {
 };
 
 /// Every triangle is intersected with the pixels' rays, so the lens does not matter. Triangles that reach
-/// nearer than `slack` to the camera are left out.
+/// nearer than `slack` to the camera are left out. With a stride only every so many rows and columns are
+/// made.
 DepthPatch render_depth(const ObjectModel& model, const Lens& lens, const ImageF& rays,
-                        const Pose& cam_from_object, double slack);
+                        const Pose& cam_from_object, double slack, int stride = 1);
 
 /// A picture of the object taken at a known pose: what the object looks like.
 struct TexturedView {
@@ -37,7 +38,7 @@ struct WarpedView {
   Grey picture, seen;
 };
 WarpedView warp_view(const TexturedView& view, const ObjectModel& model, const Lens& lens, const ImageF& rays,
-                     const Pose& to_cam_from_object, double slack);
+                     const Pose& to_cam_from_object, double slack, int stride = 1);
 
 /// Where points of the object's surface lie in the frame: corners of the warped view, followed into the frame
 /// by pyramidal Lucas-Kanade and back; a point that does not come back within 0.5 px is dropped. As the view

@@ -95,7 +95,7 @@ int main(int argc, char** argv) {
       const std::clock_t before = std::clock();
       const TrackedFrame f = tracker.track(frame);
       s.cpu_seconds += double(std::clock() - before) / CLOCKS_PER_SEC;
-      frame_ms.push_back(1e3 * f.seconds.total());
+      frame_ms.push_back(1e3 * f.seconds.total);
       const Pose true_pose = truth(i);
       const double dt = (f.cam_from_object.t - true_pose.t).norm();
       const double dr = log({f.cam_from_object.R * true_pose.R.transpose(), {0, 0, 0}}).norm() * 180 / M_PI;
@@ -107,10 +107,10 @@ int main(int argc, char** argv) {
             i, 1e3 * dt, dr, f.lost, f.initialised, f.n_eff, f.edges.matched, f.edges.visible,
             f.edges.mean_distance_px, f.texture_points, f.correlation, f.deviation_px,
             1e3 * std::sqrt(f.covariance.topLeftCorner<3, 3>().trace()),
-            180 / M_PI * std::sqrt(f.covariance.bottomRightCorner<3, 3>().trace()), 1e3 * f.seconds.total(),
+            180 / M_PI * std::sqrt(f.covariance.bottomRightCorner<3, 3>().trace()), 1e3 * f.seconds.total,
             1e3 * f.seconds.gradient, 1e3 * f.seconds.keypoints, 1e3 * f.seconds.texture,
             1e3 * f.seconds.filter, 1e3 * f.seconds.estimate);
-      s.seconds += f.seconds.total();
+      s.seconds += f.seconds.total;
       ++s.frames;
       if (f.edges.visible > 0)
         s.worst_fraction = std::min(s.worst_fraction, double(f.edges.matched) / f.edges.visible);

@@ -81,10 +81,10 @@ void run(const Sequence& s, const std::vector<Grey>& pictures, const std::vector
           "ms (g {:.1f} k {:.1f} t {:.1f} f {:.1f} e {:.1f})\n",
           i, 1e3 * dt, dr * kDegree, there ? "" : " GONE", f.lost ? " lost" : "",
           f.initialised ? " init" : "", off && !f.lost ? " UNNOTICED" : "", f.edges.matched, f.edges.visible,
-          f.n_eff, f.particles, f.texture_points, f.correlation, f.deviation_px, 1e3 * f.seconds.total(),
+          f.n_eff, f.particles, f.texture_points, f.correlation, f.deviation_px, 1e3 * f.seconds.total,
           1e3 * f.seconds.gradient, 1e3 * f.seconds.keypoints, 1e3 * f.seconds.texture,
           1e3 * f.seconds.filter, 1e3 * f.seconds.estimate);
-    row.seconds += f.seconds.total();
+    row.seconds += f.seconds.total;
     ++row.frames;
     row.flagged += f.lost ? 1 : 0;
     unnoticed = off && !f.lost ? unnoticed + 1 : 0;
@@ -120,13 +120,14 @@ Pose orbit(double i, double speed) {
                  0.03 * std::cos(0.08 * a));
 }
 
-/// A hand's tremor on top of the orbit: 3 mm and a degree at some hertz of 30 frames a second.
+/// A hand's tremor on top of the orbit: 1 mm and 0.2 degrees at 5 to 11 Hz of 30 frames a second, some 5 px a
+/// frame.
 Pose hand_held(double i, double speed) {
   Pose p = orbit(i, speed);
-  p.t += 0.003 *
+  p.t += 0.001 *
          Eigen::Vector3d(std::sin(1.1 * i) + std::sin(2.3 * i + 1), std::cos(1.3 * i) + std::sin(1.9 * i), 0);
   const Eigen::Vector3d turn =
-      0.017 * Eigen::Vector3d(std::sin(1.7 * i + 2), std::sin(1.2 * i + 4), std::sin(0.9 * i + 5));
+      0.0035 * Eigen::Vector3d(std::sin(1.7 * i + 2), std::sin(1.2 * i + 4), std::sin(0.9 * i + 5));
   return Pose{rotation_from_vector(turn), Eigen::Vector3d::Zero()} * p;
 }
 
@@ -197,6 +198,7 @@ std::vector<Sequence> all_sequences() {
     cube.blur = 3;
     cube.noise = 14;
     cube.taught_in_place = true;
+    cube.scene.grid = false;
     cube.taught = {cube.pose(0), cube.pose(25), cube.pose(50)};
     sequences.push_back(cube);
   }

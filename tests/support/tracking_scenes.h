@@ -85,6 +85,7 @@ struct Scene {
   double texture = 0.35;   ///< contrast of the print
   double cell = 0.011;     ///< [m]
   bool cluttered = false;  ///< the object lies on a calibration grid, among scraps
+  bool grid = true;        ///< false: among scraps only
   double floor_z = 0.06;   ///< of the plane it lies on: object z [m], behind it
   double reach = 1e3;      ///< no point of the object is farther from its origin [m]
   double gain = 1;         ///< of the exposure
@@ -117,7 +118,7 @@ inline double shade(const Scene& scene, const Eigen::Vector3d& eye, const Eigen:
   if (!(d > 0) || !scene.cluttered) return 0.25;
   const Eigen::Vector3d x = eye + d * ray;
   const int i = static_cast<int>(std::floor(x.x() / 0.02)), j = static_cast<int>(std::floor(x.y() / 0.02));
-  if (std::abs(x.x()) < 0.16 && std::abs(x.y()) < 0.12) return ((i + j) & 1) != 0 ? 0.85 : 0.15;
+  if (scene.grid && std::abs(x.x()) < 0.16 && std::abs(x.y()) < 0.12) return ((i + j) & 1) != 0 ? 0.85 : 0.15;
   return 0.2 + 0.5 * patches({x.x(), x.y(), 0}, 0.03, 5);
 }
 
