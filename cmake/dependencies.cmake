@@ -2,7 +2,7 @@
 find_package(PkgConfig REQUIRED)
 find_package(Threads REQUIRED)
 find_package(Eigen3 REQUIRED NO_MODULE)
-find_package(OpenCV 4.6 REQUIRED COMPONENTS core imgproc imgcodecs calib3d features2d flann video)
+find_package(OpenCV 4.6 REQUIRED COMPONENTS core imgproc imgcodecs calib3d features2d flann video videoio)
 find_package(Ceres 2.1 REQUIRED)
 find_package(OpenImageIO 2.4 REQUIRED)
 find_package(TBB REQUIRED)
