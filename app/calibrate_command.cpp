@@ -43,15 +43,20 @@ Board choose_board(const Flags& flags, const Recording& recording) {
 }
 
 Observations observations_of(const Recording& recording, const Board& board, FoundCorners found) {
+  const double usual_sigma_px = median_sigma_px(found);
   Observations in;
   in.board = board;
   in.size_px = std::move(found.size_px);
   for (const RecordedCamera& camera : recording.cameras) in.camera_names.push_back(camera.name);
   for (std::size_t s = 0; s < recording.sets.size(); ++s) {
     in.set_names.push_back(recording.sets[s].name);
-    for (std::size_t c = 0; c < recording.cameras.size(); ++c)
-      if (!found.corners[s][c].empty())
-        in.boards.push_back({static_cast<int>(c), static_cast<int>(s), std::move(found.corners[s][c]), {}});
+    for (std::size_t c = 0; c < recording.cameras.size(); ++c) {
+      BoardView& view = found.views[s][c];
+      if (view.empty()) continue;
+      std::vector<double> weights = corner_weights(view, usual_sigma_px);
+      in.boards.push_back(
+          {static_cast<int>(c), static_cast<int>(s), std::move(view.corners_px), std::move(weights)});
+    }
   }
   return in;
 }
