@@ -99,12 +99,11 @@ std::optional<Eigen::Vector2d> predicted(const CornerGrid& grid, int i, int j) {
   return sum / count;
 }
 
-double window_radius(const Eigen::Vector2d& step_i, const Eigen::Vector2d& step_j) {
-  constexpr double kShare = 0.45, kLeastPx = 2.5, kMostPx = 10;
-  // The height of the squares' parallelogram.
+double window_radius(const Eigen::Vector2d& step_i, const Eigen::Vector2d& step_j, double share) {
+  constexpr double kLeastPx = 2, kMostPx = 10;
   const double area = std::abs(step_i.x() * step_j.y() - step_i.y() * step_j.x());
   const double height = area / std::max({step_i.norm(), step_j.norm(), 1e-9});
-  return std::clamp(kShare * height, kLeastPx, kMostPx);
+  return std::clamp(share * height, kLeastPx, kMostPx);
 }
 
 void refine_grid(const CornerImage& image, CornerGrid& grid) {
@@ -113,7 +112,7 @@ void refine_grid(const CornerImage& image, CornerGrid& grid) {
     Eigen::Vector2d step_i, step_j;
     if (!steps_at(grid, place.first, place.second, step_i, step_j)) continue;
     const double radius = window_radius(step_i, step_j);
-    if (const auto corner = refine_corner(image, at, radius, 0.5 * radius)) refined[place] = corner->at_px;
+    if (const auto corner = refine_corner(image, at, radius, 0.5 * radius)) refined[place] = *corner;
   }
   grid = std::move(refined);
 }
@@ -134,11 +133,11 @@ void fill_skipped(const CornerImage& image, CornerGrid& grid) {
       const double radius = window_radius(step[0], step[1]);
       const auto corner = refine_corner(image, 0.5 * (at + *next), radius, 0.5 * radius);
       if (!corner) continue;
-      const double contrast = std::max(square_contrast(image, corner->at_px, step[0], step[1], true),
-                                       square_contrast(image, corner->at_px, step[0], step[1], false));
+      const double contrast = std::max(square_contrast(image, *corner, step[0], step[1], true),
+                                       square_contrast(image, *corner, step[0], step[1], false));
       constexpr double kLeastContrast = 10;
       if (contrast > kLeastContrast)
-        halfway[axis == 0 ? Place(here.first + 1, j) : Place(i, here.second + 1)] = corner->at_px;
+        halfway[axis == 0 ? Place(here.first + 1, j) : Place(i, here.second + 1)] = *corner;
     }
     if (2 * static_cast<int>(halfway.size()) <= pairs) continue;
     doubled.merge(halfway);
@@ -165,8 +164,8 @@ void grow_grid(const CornerImage& image, const SquareColours& colours, int most,
         const auto corner =
             refine_corner(image, *start, radius, 0.3 * std::min(step_i.norm(), step_j.norm()));
         const bool dark_first = (i + j + colours.dark_parity) % 2 == 0;
-        if (corner && square_contrast(image, corner->at_px, step_i, step_j, dark_first) > least_contrast)
-          added[{i, j}] = corner->at_px;
+        if (corner && square_contrast(image, *corner, step_i, step_j, dark_first) > least_contrast)
+          added[{i, j}] = *corner;
       }
     border.clear();
     for (const auto& [place, at] : added) border.push_back(place);

@@ -35,8 +35,11 @@ std::optional<Eigen::Vector2d> predicted(const CornerGrid& grid, int i, int j);
 /// Steps to the next corners along i and j at (i, j), from the corners near it.
 bool steps_at(const CornerGrid& grid, int i, int j, Eigen::Vector2d& step_i, Eigen::Vector2d& step_j);
 
-/// Radius of refine_corner's window for squares with these sides: no other corner's edges are in it.
-double window_radius(const Eigen::Vector2d& step_i, const Eigen::Vector2d& step_j);
+/// Radius of refine_corner's window: `share` of the height of a parallelogram with these sides, 2 to 10 px.
+/// For a chessboard's squares, no other corner's edges are then in it.
+inline constexpr double kSquareShare = 0.45;
+double window_radius(const Eigen::Vector2d& step_i, const Eigen::Vector2d& step_j,
+                     double share = kSquareShare);
 
 /// Refines all corners; those that cannot be are taken out.
 void refine_grid(const CornerImage& image, CornerGrid& grid);

@@ -82,7 +82,8 @@ double radius_at(const std::vector<Eigen::Vector2d>& corners, const Board& board
   };
   const double clear_m = corner_clearance_m(board);
   const Eigen::Vector2d a = clear_m * step(1, 0), b = clear_m * step(0, 1);
-  return a.isZero() || b.isZero() ? 3 : window_radius(a, b);
+  if (a.isZero() || b.isZero()) return 3;
+  return window_radius(a, b, board.kind == Board::Kind::chessboard ? kSquareShare : kClearanceShare);
 }
 
 cv::Rect around(const std::vector<Eigen::Vector2d>& corners) {
@@ -101,11 +102,12 @@ std::vector<double> deviations(const CornerImage& image, const std::vector<Eigen
   for (std::size_t i = 0; i < corners.size(); ++i) {
     if (!corners[i].allFinite()) continue;
     double radius = radius_at(corners, board, static_cast<int>(i));
-    auto covariance = unit_covariance(image, corners[i], radius);
+    auto covariance = corner_covariance(image, corners[i], radius, noise);
     // At the picture's border only a smaller window has room.
-    for (; !covariance && radius > 1; radius /= 1.5) covariance = unit_covariance(image, corners[i], radius);
+    for (; !covariance && radius > 1; radius /= 1.5)
+      covariance = corner_covariance(image, corners[i], radius, noise);
     constexpr double kUnknownPx = 0.5;
-    const double random = covariance ? noise * std::sqrt(0.5 * covariance->trace()) : kUnknownPx;
+    const double random = covariance ? std::sqrt(0.5 * covariance->trace()) : kUnknownPx;
     sigma[i] = std::hypot(kCornerFloorPx, random);
   }
   return sigma;

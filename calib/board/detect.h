@@ -30,10 +30,9 @@ struct BoardView {
 ///   are partly covered as far as it is certain which part is seen.
 /// - charuco, aprilgrid (detect_markers.h): by their markers, any part; corners by refine_corner.
 ///
-/// sigma_px: sqrt(floor^2 + noise^2 trace(C) / 2), with the noise of this picture (picture_noise), C of
-/// unit_covariance at the corner, and floor = kCornerFloorPx for what lens, paper and pixel raster add. So
-/// corners that are blurred, dark or seen at a slant count less. At least six corners that do not lie in a
-/// line, or none.
+/// sigma_px: sqrt(floor^2 + trace(C) / 2), C the corner_covariance for this picture's own noise
+/// (picture_noise), and floor = kCornerFloorPx for what lens, paper and pixel raster add. So corners that are
+/// blurred, dark or seen at a slant count less. At least six corners that do not lie in a line, or none.
 BoardView detect_board(const Image& picture, const Board& board);
 
 inline constexpr double kCornerFloorPx = 0.02;

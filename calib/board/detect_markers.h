@@ -15,6 +15,10 @@ namespace stuv {
 /// (refine_corner, with a window inside of all other edges) and kept if the colours of its four squares are
 /// right. How markers are turned in their squares plays no part, so tags may be printed as Kalibr or as
 /// OpenCV turns them.
+/// If more than a tenth of the markers are not where the others say, it is another board, and none.
 std::vector<Eigen::Vector2d> detect_markers(const CornerImage& image, const Board& board);
+
+/// Radius of refine_corner's window in parts of the clearance around a corner (corner_clearance_m).
+inline constexpr double kClearanceShare = 0.8;
 
 }  // namespace stuv

@@ -60,7 +60,7 @@ bool crosses(const Eigen::Matrix2d& M) {
 }
 
 Eigen::Matrix2d covariance_of(const CornerImage& image, const Eigen::Vector2d& middle, double radius_px,
-                              const Window& w) {
+                              double noise, const Window& w) {
   const int side = w.size + 2;
   std::vector<Eigen::Vector2d> c(static_cast<std::size_t>(side) * static_cast<std::size_t>(side),
                                  Eigen::Vector2d::Zero());
@@ -68,23 +68,27 @@ Eigen::Matrix2d covariance_of(const CornerImage& image, const Eigen::Vector2d& m
     return c[static_cast<std::size_t>(y + 1) * static_cast<std::size_t>(side) +
              static_cast<std::size_t>(x + 1)];
   };
+  Eigen::Matrix2d second = Eigen::Matrix2d::Zero();
   for_each_pixel(image, w, middle, [&](int x, int y, const Eigen::Vector2d& g, const Eigen::Vector2d& d) {
-    const Eigen::Vector2d wg = 0.5 * weight_of(d, radius_px) * g;
-    at(x + 1, y) += wg * d.x();
-    at(x - 1, y) -= wg * d.x();
-    at(x, y + 1) += wg * d.y();
-    at(x, y - 1) -= wg * d.y();
+    const double weight = weight_of(d, radius_px);
+    const Eigen::Matrix2d A = 0.5 * weight * (g * d.transpose() + g.dot(d) * Eigen::Matrix2d::Identity());
+    at(x + 1, y) += A.col(0);
+    at(x - 1, y) -= A.col(0);
+    at(x, y + 1) += A.col(1);
+    at(x, y - 1) -= A.col(1);
+    second += 0.25 * weight * weight * (d * d.transpose() + d.squaredNorm() * Eigen::Matrix2d::Identity());
   });
-  Eigen::Matrix2d sum = Eigen::Matrix2d::Zero();
-  for (const Eigen::Vector2d& v : c) sum += v * v.transpose();
+  Eigen::Matrix2d first = Eigen::Matrix2d::Zero();
+  for (const Eigen::Vector2d& v : c) first += v * v.transpose();
   const Eigen::Matrix2d inverse = w.M.inverse();
-  return inverse * sum * inverse;
+  const double variance = noise * noise;
+  return inverse * (variance * first + variance * variance * second) * inverse;
 }
 
 }  // namespace
 
-std::optional<RefinedCorner> refine_corner(const CornerImage& image, const Eigen::Vector2d& start,
-                                           double radius_px, double most_shift_px) {
+std::optional<Eigen::Vector2d> refine_corner(const CornerImage& image, const Eigen::Vector2d& start,
+                                             double radius_px, double most_shift_px) {
   constexpr int kMostRounds = 20;
   constexpr double kStillPx = 1e-3;
   Eigen::Vector2d q = start;
@@ -96,21 +100,18 @@ std::optional<RefinedCorner> refine_corner(const CornerImage& image, const Eigen
     const Eigen::Vector2d step = w->M.inverse() * w->b;
     q += step;
     if (!((q - start).norm() <= most_shift_px)) return std::nullopt;
-    if (step.norm() > kStillPx && round + 1 < kMostRounds) continue;
-    const std::optional<Eigen::Matrix2d> covariance = unit_covariance(image, q, radius_px);
-    if (!covariance) return std::nullopt;
-    return RefinedCorner{q, *covariance};
+    if (step.norm() <= kStillPx || round + 1 == kMostRounds) return q;
   }
   return std::nullopt;
 }
 
-std::optional<Eigen::Matrix2d> unit_covariance(const CornerImage& image, const Eigen::Vector2d& at,
-                                               double radius_px) {
+std::optional<Eigen::Matrix2d> corner_covariance(const CornerImage& image, const Eigen::Vector2d& at,
+                                                 double radius_px, double noise) {
   std::optional<Window> w = window_at(image, at, radius_px);
   if (!w) return std::nullopt;
   add_up(image, at, radius_px, *w);
   if (!crosses(w->M)) return std::nullopt;
-  return covariance_of(image, at, radius_px, *w);
+  return covariance_of(image, at, radius_px, noise, *w);
 }
 
 double picture_noise(const CornerImage& image, const cv::Rect& area) {

@@ -13,13 +13,6 @@ struct CornerImage {
   cv::Mat gradient_x, gradient_y;  ///< CV_32F, central differences
 };
 
-struct RefinedCorner {
-  Eigen::Vector2d at_px;
-  /// Of at_px for picture noise of deviation 1 in every pixel; a coordinate's mean deviation is
-  /// sqrt(trace / 2).
-  Eigen::Matrix2d unit_covariance;
-};
-
 /// Where two edges cross, to a part of a pixel: the point that all gradients around it stand square to a ray
 /// from (Foerstner and Guelch, 1987).
 ///
@@ -28,17 +21,21 @@ struct RefinedCorner {
 /// p_i: pixels within radius_px of q, g_i: gradients, w_i = exp(-|p_i - q|^2 / (2 (radius/2)^2)). On a
 /// crossing of four squares both sides of each edge count alike, so that blur does not move it.
 ///
-/// Noise n_k in the pixels moves it by M^-1 sum_k n_k c_k, where c is minus the divergence of the field
-/// w_i g_i (p_i - q)^T, so its covariance is M^-1 (sum_k c_k c_k^T) M^-1 for noise of deviation 1.
-///
 /// Nothing if the window leaves the picture, the point moves more than most_shift_px from `start`, or the
 /// window has no two directions of edges.
-std::optional<RefinedCorner> refine_corner(const CornerImage& image, const Eigen::Vector2d& start,
-                                           double radius_px, double most_shift_px);
+std::optional<Eigen::Vector2d> refine_corner(const CornerImage& image, const Eigen::Vector2d& start,
+                                             double radius_px, double most_shift_px);
 
-/// Covariance as of refine_corner, at a point that is not moved.
-std::optional<Eigen::Matrix2d> unit_covariance(const CornerImage& image, const Eigen::Vector2d& at,
-                                               double radius_px);
+/// Covariance of refine_corner's result at `at` for white noise of deviation `noise` in the pixels.
+///
+/// With d_i = p_i - q, noise changes sum_i w_i g_i (g_i . d_i) by sum_i A_i dg_i, A_i = w_i (g_i d_i^T + g_i
+/// . d_i I), which as a sum over pixels is sum_k n_k c_k, c half the differences of A's columns along x and
+/// y; and to second order, which counts where squares are dark, by terms of variance w_i^2 (noise^2 / 2)^2
+/// (d_i d_i^T + |d_i|^2 I):
+///
+///   C = M^-1 (noise^2 sum_k c_k c_k^T + noise^4 / 4 sum_i w_i^2 (d_i d_i^T + |d_i|^2 I)) M^-1
+std::optional<Eigen::Matrix2d> corner_covariance(const CornerImage& image, const Eigen::Vector2d& at,
+                                                 double radius_px, double noise);
 
 /// Deviation of the picture's noise within `area`, from second differences that plane shading and straight
 /// edges along an axis leave 0 (Immerkaer, 1996), by their median; at least that of rounding to integers.
