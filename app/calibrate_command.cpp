@@ -6,12 +6,14 @@
 #include "app/commands.h"
 #include "app/console.h"
 #include "calib/board/find_corners.h"
+#include "calib/board/overlay.h"
 #include "calib/solve/report.h"
 #include "calib/tracking/moving_rig.h"
 #include "calib/tracking/sequence.h"
 #include "calib/two_view/no_board.h"
 #include "core/error.h"
 #include "core/files.h"
+#include "core/image_io.h"
 #include "core/rig.h"
 
 namespace stuv {
@@ -20,6 +22,7 @@ namespace {
 struct Flags : CommonFlags {
   std::filesystem::path recording, output;
   std::string board, moving, camera;
+  std::filesystem::path overlay;
   Lens lens = Lens::opencv4;
   std::string distance;
   std::filesystem::path lenses;
@@ -43,17 +46,44 @@ Board choose_board(const Flags& flags, const Recording& recording) {
 }
 
 Observations observations_of(const Recording& recording, const Board& board, FoundCorners found) {
+  const double usual_sigma_px = median_sigma_px(found);
   Observations in;
   in.board = board;
   in.size_px = std::move(found.size_px);
   for (const RecordedCamera& camera : recording.cameras) in.camera_names.push_back(camera.name);
   for (std::size_t s = 0; s < recording.sets.size(); ++s) {
     in.set_names.push_back(recording.sets[s].name);
-    for (std::size_t c = 0; c < recording.cameras.size(); ++c)
-      if (!found.corners[s][c].empty())
-        in.boards.push_back({static_cast<int>(c), static_cast<int>(s), std::move(found.corners[s][c]), {}});
+    for (std::size_t c = 0; c < recording.cameras.size(); ++c) {
+      BoardView& view = found.views[s][c];
+      if (view.empty()) continue;
+      std::vector<double> weights = corner_weights(view, usual_sigma_px);
+      in.boards.push_back(
+          {static_cast<int>(c), static_cast<int>(s), std::move(view.corners_px), std::move(weights)});
+    }
   }
   return in;
+}
+
+/// The pictures in which a board was found, with its corners drawn.
+void write_overlays(const Flags& flags, const Recording& recording, const Board& board,
+                    const FoundCorners& found, const Reporter& reporter) {
+  AtomicOutput output(flags.overlay, AtomicOutput::Kind::folder, flags.force);
+  const double usual_sigma_px = median_sigma_px(found);
+  Json names = Json::array();
+  for (std::size_t s = 0; s < recording.sets.size(); ++s) {
+    reporter.at("drawing corners", s, recording.sets.size());
+    for (std::size_t c = 0; c < recording.cameras.size(); ++c) {
+      const BoardView& view = found.views[s][c];
+      if (view.empty()) continue;
+      const std::string name = recording.sets[s].name + "_" + recording.cameras[c].name + ".png";
+      const Image picture = read_image(recording.sets[s].frames[c].file);
+      write_image(output.path() / name, draw_board_overlay(picture, board, view, usual_sigma_px));
+      names.push_back(name);
+    }
+  }
+  write_json(output.path() / "overlay.json",
+             {{"format", "stuv.overlay"}, {"version", 1}, {"pictures", names}});
+  output.commit();
 }
 
 const char* name_of(Lens lens) {
@@ -67,7 +97,7 @@ Json produced_by(const Flags& flags, const Recording& recording, const Calibrati
           {"lens", name_of(flags.lens)},
           {"sets", recording.sets.size()},
           {"boards", c.observations.boards.size()},
-          {"detector", "OpenCV findChessboardCornersSB"},
+          {"detector", fmt::format("stuv {}, OpenCV", kDetectorVersion)},
           {"solver", "mrcal"}};
 }
 
@@ -178,6 +208,7 @@ int run(const Flags& flags) {
   if (!flags.moving.empty()) return run_moving(flags);
   const auto begin = Clock::now();
   check_output(flags.output, flags.force);
+  if (!flags.overlay.empty()) check_output(flags.overlay, flags.force);
   const Recording recording = open_recording(flags.recording);
   if (flags.complete) require_complete(recording);
   const Reporter reporter = console_reporter();
@@ -185,10 +216,12 @@ int run(const Flags& flags) {
   const Board board = choose_board(flags, recording);
   FoundCorners found = find_corners(recording, board, reporter);
   const double seconds_corners = seconds_since(begin);
+  if (!flags.overlay.empty()) write_overlays(flags, recording, board, found, reporter);
   if (found.boards == 0)
     throw Error(flags.recording.string(),
                 fmt::format("board {} is seen in none of {} pictures", board_spec(board), found.pictures),
-                "check its inner corners COLSxROWS, light and focus");
+                board.kind == Board::Kind::chessboard ? "check its inner corners COLSxROWS, light and focus"
+                                                      : "check its markers, light and focus");
 
   CalibrationOptions options;
   options.solve.lens = flags.lens;
@@ -213,9 +246,15 @@ void add_calibrate_command(CLI::App& app, Action& action) {
   command->add_option("recording", flags->recording, "The recording's folder")->required()->type_name("REC");
   command->add_option("-o,--output", flags->output, "The rig's folder")->required()->type_name("RIG");
   command
-      ->add_option("--board", flags->board,
-                   "chessboard:COLSxROWS:SIZE, inner corners and square size [what the recording says]")
+      ->add_option(
+          "--board", flags->board,
+          "chessboard:COLSxROWS:SQUARE (inner corners), "
+          "charuco:COLSxROWS:SQUARE:MARKER:DICT[:inverted][:legacy] (squares), "
+          "aprilgrid:COLSxROWS:TAG:GAP (tags; gap in tags or with its unit), or Kalibr's target .yaml "
+          "[what the recording says]; `stuv board` prints them")
       ->type_name("BOARD");
+  command->add_option("--overlay", flags->overlay, "Folder for the pictures with the corners found drawn")
+      ->type_name("DIR");
   const std::map<std::string, Lens> lenses = {
       {"opencv4", Lens::opencv4}, {"opencv8", Lens::opencv8}, {"splined", Lens::splined}};
   command->add_option("--lens", flags->lens, "opencv4, opencv8 or splined [opencv4]")

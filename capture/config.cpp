@@ -143,6 +143,7 @@ void read_sensor(TableReader table, synthetic::SensorOptions& sensor) {
 }
 
 void read_board(TableReader table, synthetic::BoardOptions& board) {
+  table.read("spec", board.spec);
   std::array<int, 2> corners = {board.columns, board.rows};
   table.read("corners", corners);
   board.columns = corners[0];
@@ -189,9 +190,12 @@ FilesOptions read_files(TableReader& source, const std::string& file) {
   source.read("names", options.names);
   source.read("copy", options.copy);
   source.read("complete", options.complete);
+  source.read("every", options.every);
   if (options.pattern.find("{camera}") == std::string::npos)
     throw Error(file, fmt::format("source.pattern is '{}'", options.pattern),
                 "give a path with {camera} in it");
+  if (options.every < 1)
+    throw Error(file, fmt::format("source.every is {}", options.every), "give 1 or more");
   if (options.rows < 1 || options.cols < 1)
     throw Error(file, fmt::format("source.rows and source.cols are {} and {}", options.rows, options.cols),
                 "give the grid's size, each 1 or more");

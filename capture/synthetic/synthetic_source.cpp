@@ -54,7 +54,9 @@ class SyntheticSource final : public Source {
     const BoardOptions& board = options_.board;
     return {{"kind", "synthetic"},
             {"seed", options_.rig.seed},
-            {"board", fmt::format("chessboard:{}x{}:{}mm", board.columns, board.rows, 1000 * board.square_m)},
+            {"board", !board.spec.empty() ? board.spec
+                                          : fmt::format("chessboard:{}x{}:{}mm", board.columns, board.rows,
+                                                        1000 * board.square_m)},
             {"board_sets", options_.board_sets},
             {"scene_sets", options_.scene_sets}};
   }
@@ -177,6 +179,8 @@ std::vector<Pose> board_poses(const SyntheticOptions& options) {
 
 std::unique_ptr<Source> open_synthetic(const SyntheticOptions& options) {
   if (const std::string problem = problem_of(options); !problem.empty()) throw std::invalid_argument(problem);
+  if (!options.board.spec.empty() && !options.board.spec.starts_with("chessboard:") && !options.board.pattern)
+    throw std::invalid_argument("the board's spec has not been turned into a pattern");
   return std::make_unique<SyntheticSource>(options);
 }
 
