@@ -32,9 +32,15 @@ struct Page {
   }
 };
 
+std::string good_text(const Calibration& c) {
+  const std::string meaning = ghosting_text(c.ghosting);
+  if (meaning.empty()) return "Good: this calibration can be used.";
+  return "This calibration can be used; pictures: " + meaning + ".";
+}
+
 void add_verdict(Page& page, const Calibration& c) {
   page.add("<p class='verdict {}'>{}</p>\n", c.good ? "good" : "bad",
-           c.good ? "Good: this calibration can be used." : "Not good:");
+           c.good ? good_text(c) : "Not good:");
   if (!c.reasons.empty()) page.add("<ul>");
   for (const std::string& reason : c.reasons) page.add("<li>{}</li>", escaped(reason));
   if (!c.reasons.empty()) page.add("</ul>\n");
@@ -92,6 +98,15 @@ void add_ghosting(Page& page, const Calibration& c) {
   page.add("</svg>\n");
 }
 
+/// Both steps' lengths with one standard deviation, the board's own size aside.
+std::string spacing_text(const Calibration& c) {
+  const auto step = [](const Eigen::Vector2d& v, double sigma) {
+    return v.norm() > 0 ? fmt::format("{:.3f} &plusmn; {:.3f} mm", 1e3 * v.norm(), 1e3 * sigma) : std::string("-");
+  };
+  return step(c.rig.s_step_m, c.lattice_sigma.s_spacing_m) + " x " +
+         step(c.rig.t_step_m, c.lattice_sigma.t_spacing_m);
+}
+
 /// The ellipse of one standard deviation of a 2 x 2 covariance, `scale` px a metre, about p.
 void add_ellipse(Page& page, const Eigen::Vector2d& p, const Eigen::Matrix2d& covariance, double scale) {
   const Eigen::SelfAdjointEigenSolver<Eigen::Matrix2d> eigen(covariance);
@@ -126,16 +141,14 @@ void add_layout(Page& page, const Calibration& c) {
   const bool ellipses = rig.centre_covariance_m2.size() > 0 && largest > 0 && std::isfinite(largest);
   const double swell = ellipses ? longest / largest : 0;
   page.add(
-      "<h2>Layout</h2><p>{} x {} lattice, spacing {:.2f} x {:.2f} mm (s x t), {:.2f} mm rms off the plane. "
+      "<h2>Layout</h2><p>{} x {} lattice, spacing {} (s x t), {:.2f} mm rms off the plane. "
       "Crosses: lattice. Dots: cameras as they look at the scene, remainders drawn {:.0f} times too long; "
       "colour: off the plane, red towards the scene, blue away. Hollow: not determined.",
-      rig.rows, rig.cols, 1e3 * rig.s_step_m.norm(), 1e3 * rig.t_step_m.norm(), 1e3 * rig.rms_off_plane_m,
-      exaggerate);
+      rig.rows, rig.cols, spacing_text(c), 1e3 * rig.rms_off_plane_m, exaggerate);
   if (ellipses)
     page.add(
-        " Ellipses: one standard deviation of the place, {:.0f} times too large; the largest is {:.3f} mm. "
-        "Spacing to {:.4f} x {:.4f} mm, one sigma, the board's own size aside.",
-        swell, 1e3 * largest, 1e3 * c.lattice_sigma.s_spacing_m, 1e3 * c.lattice_sigma.t_spacing_m);
+        " Ellipses: one standard deviation of the place, {:.0f} times too large; the largest is {:.3f} mm.",
+        swell, 1e3 * largest);
   page.add("</p>\n");
   page.add("<svg viewBox='0 0 {:.0f} {:.0f}' width='{:.0f}'>\n", width, height, width);
   const double off = std::max(1e-12, 2 * rig.rms_off_plane_m);
@@ -336,7 +349,7 @@ void add_structure(Page& page, const Calibration& c) {
 
 void add_table(Page& page, const Calibration& c) {
   page.add(
-      "<h2>Cameras</h2><table><tr><th>name<th>row<th>col<th>f [px]<th>&sigma;<th>centre [px]<th>s, t, w [mm]"
+      "<h2>Cameras</h2><table class='wide'><tr><th>name<th>row<th>col<th>f [px]<th>&sigma;<th>centre [px]<th>s, t, w [mm]"
       "<th>&sigma; [mm]<th>&sigma; turn [mrad]<th>boards<th>tilt [&deg;]<th>outliers<th>rms [px]<th>noise "
       "[px]</tr>\n");
   for (std::size_t i = 0; i < c.rig.cameras.size(); ++i) {
@@ -352,7 +365,8 @@ void add_table(Page& page, const Calibration& c) {
                rc.camera.intrinsics[1], s.focal_sigma_px.maxCoeff(), rc.camera.intrinsics[2],
                rc.camera.intrinsics[3]);
       page.add("<td>{:.2f} {:.2f} {:.2f}<td>{:.3f} {:.3f} {:.3f}", p.x(), p.y(), p.z(), e.x(), e.y(), e.z());
-      page.add("<td>{:.3f}", 1e3 * s.rotation_sigma_rad.maxCoeff());
+      const double turn = 1e3 * s.rotation_sigma_rad.maxCoeff();
+      page.add("<td>{}", std::isfinite(turn) ? fmt::format("{:.3f}", turn) : "-");
     }
     page.add("<td>{}<td>{:.0f}<td>{}<td>{:.3f}<td>{:.3f}</tr>\n", s.boards, s.seen.tilt_rad * 180 / M_PI,
              s.outliers, s.rms_px, s.noise_px);
@@ -369,8 +383,8 @@ std::string report_page(const Calibration& c) {
       "body{font:15px sans-serif;margin:2em;max-width:1000px}svg{max-width:100%}text{font-size:11px;"
       "text-anchor:middle}.verdict{font-size:1.4em;padding:.5em}.good{background:#dfd}.bad{background:#fdd}"
       "td,th{padding:2px 8px;text-align:right;border-bottom:1px solid #ddd}table{border-collapse:collapse}"
-      "figure{display:inline-block;margin:4px}figcaption{font-size:12px;text-align:center}"
-      ".key{padding:1px 6px;margin-right:2px}td.why{text-align:left;max-width:430px}</style>"
+      "table.wide{font-size:12px;white-space:nowrap}figure{display:inline-block;margin:4px}figcaption{font-size:12px;text-align:center}"
+      ".key{padding:1px 6px;margin-right:2px}td.why{text-align:left;white-space:normal;max-width:430px}</style>"
       "<h1>Calibration report</h1>\n";
   add_verdict(page, c);
   add_ghosting(page, c);

@@ -9,16 +9,20 @@
 namespace stuv {
 namespace {
 
+/// Centres whose extent across their line is less than this part of that along it are on a line: what they
+/// would say about the turn around it is less than what the cameras' directions do.
+constexpr double kLineRatio = 0.03;
+
 /// Kernel of G by its singular vectors.
 Eigen::MatrixXd kernel_of(const Eigen::MatrixXd& G) {
   Eigen::JacobiSVD<Eigen::MatrixXd> svd(G, Eigen::ComputeFullV | Eigen::ComputeThinU);
-  svd.setThreshold(1e-6);
+  svd.setThreshold(kLineRatio);
   return svd.matrixV().rightCols(G.cols() - svd.rank());
 }
 
 Eigen::MatrixXd pseudo_inverse(const Eigen::MatrixXd& G) {
   Eigen::CompleteOrthogonalDecomposition<Eigen::MatrixXd> decomposition(G.rows(), G.cols());
-  decomposition.setThreshold(1e-6);
+  decomposition.setThreshold(kLineRatio);
   return decomposition.compute(G).pseudoInverse();
 }
 
