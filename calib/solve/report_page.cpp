@@ -39,8 +39,7 @@ std::string good_text(const Calibration& c) {
 }
 
 void add_verdict(Page& page, const Calibration& c) {
-  page.add("<p class='verdict {}'>{}</p>\n", c.good ? "good" : "bad",
-           c.good ? good_text(c) : "Not good:");
+  page.add("<p class='verdict {}'>{}</p>\n", c.good ? "good" : "bad", c.good ? good_text(c) : "Not good:");
   if (!c.reasons.empty()) page.add("<ul>");
   for (const std::string& reason : c.reasons) page.add("<li>{}</li>", escaped(reason));
   if (!c.reasons.empty()) page.add("</ul>\n");
@@ -101,7 +100,8 @@ void add_ghosting(Page& page, const Calibration& c) {
 /// Both steps' lengths with one standard deviation, the board's own size aside.
 std::string spacing_text(const Calibration& c) {
   const auto step = [](const Eigen::Vector2d& v, double sigma) {
-    return v.norm() > 0 ? fmt::format("{:.3f} &plusmn; {:.3f} mm", 1e3 * v.norm(), 1e3 * sigma) : std::string("-");
+    return v.norm() > 0 ? fmt::format("{:.3f} &plusmn; {:.3f} mm", 1e3 * v.norm(), 1e3 * sigma)
+                        : std::string("-");
   };
   return step(c.rig.s_step_m, c.lattice_sigma.s_spacing_m) + " x " +
          step(c.rig.t_step_m, c.lattice_sigma.t_spacing_m);
@@ -301,15 +301,18 @@ void add_cameras(Page& page, const Calibration& c) {
 void add_validation(Page& page, const Calibration& c) {
   if (!c.validation || !c.validation->halves) return;
   const HalfData& h = *c.validation->halves;
+  const auto times = [](double ratio) {
+    return std::isfinite(ratio) ? fmt::format("{:.2f}", ratio) : std::string("an unknown number of");
+  };
   page.add(
-      "<h2>Half the data against the other half</h2><p>Lenses differ by {:.2f} times, places by {:.2f} times "
+      "<h2>Half the data against the other half</h2><p>Lenses differ by {} times, places by {} times "
       "what "
       "the stated uncertainty of the halves says (1 is right, above 2 it is too small). Lens: rms over the "
       "picture, "
       "but for what another pose could make up for.</p><table><tr><th>camera<th>lens "
       "[px]<th>predicted<th>place "
       "[mm]<th>predicted</tr>\n",
-      h.lens_ratio, h.centre_ratio);
+      times(h.lens_ratio), times(h.centre_ratio));
   for (const HalfData::Camera& camera : h.cameras)
     page.add("<tr><td>{}<td>{:.3f}<td>{:.3f}<td>{:.3f}<td>{:.3f}</tr>\n",
              escaped(c.observations.camera_names[camera.camera]), camera.lens_px, camera.lens_predicted_px,
@@ -349,7 +352,8 @@ void add_structure(Page& page, const Calibration& c) {
 
 void add_table(Page& page, const Calibration& c) {
   page.add(
-      "<h2>Cameras</h2><table class='wide'><tr><th>name<th>row<th>col<th>f [px]<th>&sigma;<th>centre [px]<th>s, t, w [mm]"
+      "<h2>Cameras</h2><table class='wide'><tr><th>name<th>row<th>col<th>f [px]<th>&sigma;<th>centre "
+      "[px]<th>s, t, w [mm]"
       "<th>&sigma; [mm]<th>&sigma; turn [mrad]<th>boards<th>tilt [&deg;]<th>outliers<th>rms [px]<th>noise "
       "[px]</tr>\n");
   for (std::size_t i = 0; i < c.rig.cameras.size(); ++i) {
@@ -383,8 +387,10 @@ std::string report_page(const Calibration& c) {
       "body{font:15px sans-serif;margin:2em;max-width:1000px}svg{max-width:100%}text{font-size:11px;"
       "text-anchor:middle}.verdict{font-size:1.4em;padding:.5em}.good{background:#dfd}.bad{background:#fdd}"
       "td,th{padding:2px 8px;text-align:right;border-bottom:1px solid #ddd}table{border-collapse:collapse}"
-      "table.wide{font-size:12px;white-space:nowrap}figure{display:inline-block;margin:4px}figcaption{font-size:12px;text-align:center}"
-      ".key{padding:1px 6px;margin-right:2px}td.why{text-align:left;white-space:normal;max-width:430px}</style>"
+      "table.wide{font-size:12px;white-space:nowrap}figure{display:inline-block;margin:4px}figcaption{font-"
+      "size:12px;text-align:center}"
+      ".key{padding:1px "
+      "6px;margin-right:2px}td.why{text-align:left;white-space:normal;max-width:430px}</style>"
       "<h1>Calibration report</h1>\n";
   add_verdict(page, c);
   add_ghosting(page, c);

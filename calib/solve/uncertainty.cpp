@@ -116,9 +116,10 @@ LatticeSigma lattice_sigma(const JointSolution& solution, const std::vector<Plac
   if (which.size() < 2 || solution.pose_covariance.size() == 0) return {};
   const int columns = 6 * static_cast<int>(which.size());
   const double step_rad = 1e-5, step_m = 1e-5 * spacing_scale(placed);
-  Eigen::MatrixXd J(8, columns);
+  Eigen::MatrixXd J = Eigen::MatrixXd::Zero(8, columns);
   parallel_for(columns, [&](int k) {
     const bool turn = k % 6 < 3;
+    if (turn && rows > 1 && cols > 1) return;  // directions matter to a single row or column only
     const double step = turn ? step_rad : step_m;
     LatticeVector at[2];
     for (const int side : {0, 1}) {

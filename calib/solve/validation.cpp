@@ -194,13 +194,17 @@ std::optional<HalfData> compare_halves(const Observations& in, const JointSoluti
   const double distance = mean_distance(in, whole);
   for (HalfData::Camera& camera : out.cameras) compare_lenses(whole, a, b, distance, camera);
   compare_centres(a, b, out);
-  double lens = 0, centre = 0;
+  // Where a half knows a lens to a pixel only, it is too far from the whole for its covariance to mean much.
+  constexpr double kMostPx = 1;
+  double lens = 0, centre = 0, count = 0;
   for (const HalfData::Camera& c : out.cameras) {
+    if (!(c.lens_predicted_px < kMostPx)) continue;
     if (c.lens_predicted_px > 0) lens += std::pow(c.lens_px / c.lens_predicted_px, 2);
     if (c.centre_predicted_m > 0) centre += std::pow(c.centre_m / c.centre_predicted_m, 2);
+    ++count;
   }
-  out.lens_ratio = std::sqrt(lens / static_cast<double>(out.cameras.size()));
-  out.centre_ratio = std::sqrt(centre / static_cast<double>(out.cameras.size()));
+  out.lens_ratio = std::sqrt(lens / count);
+  out.centre_ratio = std::sqrt(centre / count);
   return out;
 }
 

@@ -26,7 +26,8 @@ struct HalfData {
     double centre_m = 0, centre_predicted_m = 0;  ///< after rigid alignment of the centres, the same
   };
   std::vector<Camera> cameras;  ///< that both halves solved
-  /// Root mean square over cameras of difference over prediction: 1 if the stated uncertainty is true.
+  /// Root mean square over cameras of difference over prediction, of those that both halves know to a pixel:
+  /// 1 if the stated uncertainty is true; NaN if there is none.
   double lens_ratio = 0, centre_ratio = 0;
 };
 

@@ -21,7 +21,8 @@ namespace {
 using Clock = std::chrono::steady_clock;
 
 void print(const char* what, const Tally& t) {
-  fmt::print("  {:14} error/sigma {:.3f}  error/bound {:.3f}  ({} errors)\n", what, t.z(), t.over_bound(), t.count);
+  fmt::print("  {:14} error/sigma {:.3f}  error/bound {:.3f}  ({} errors)\n", what, t.z(), t.over_bound(),
+             t.count);
 }
 
 void run_truth(int rigs) {
@@ -30,8 +31,9 @@ void run_truth(int rigs) {
     int rows, cols, boards;
     double noise_px;
   };
-  for (const Kind& kind : {Kind{"3x3, 8 boards, 0.3 px", 3, 3, 8, 0.3}, Kind{"2x4, 5 boards, 1 px", 2, 4, 5, 1},
-                           Kind{"4x4, 15 boards, 0.05 px", 4, 4, 15, 0.05}}) {
+  for (const Kind& kind :
+       {Kind{"3x3, 8 boards, 0.3 px", 3, 3, 8, 0.3}, Kind{"2x4, 5 boards, 1 px", 2, 4, 5, 1},
+        Kind{"4x4, 15 boards, 0.05 px", 4, 4, 15, 0.05}}) {
     std::vector<Tallies> each(static_cast<std::size_t>(rigs));
     parallel_for(rigs, [&](int i) {
       each[static_cast<std::size_t>(i)] =
@@ -70,8 +72,9 @@ void run_growth(int cameras, const std::vector<int>& boards) {
     const auto again = Clock::now();
     calibrate(scene.observations, scene.recording, bare);
     const double solve = std::chrono::duration<double>(Clock::now() - again).count();
-    fmt::print("{} cameras, {} boards, {} corners: {:.1f} s, without validation {:.1f} s, peak {:.0f} MB, {}\n", rows * cols,
-               n, c.solution.inliers, seconds, solve, peak_mb(), c.good ? "good" : "not good");
+    fmt::print(
+        "{} cameras, {} boards, {} corners: {:.1f} s, without validation {:.1f} s, peak {:.0f} MB, {}\n",
+        rows * cols, n, c.solution.inliers, seconds, solve, peak_mb(), c.good ? "good" : "not good");
   }
 }
 

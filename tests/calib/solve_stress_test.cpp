@@ -111,7 +111,7 @@ TEST_CASE("stress: tele lenses and a board far away") {
   for (int s = 0; s < 12; ++s) {
     const Eigen::Vector3d turn(0.6 * std::cos(2.4 * s), 0.6 * std::sin(2.4 * s), 0.1);
     far.push_back(board_at(turn, {0.1 * std::cos(s), 0.08 * std::sin(s), 9 + 0.3 * (s % 4)}));
-    same.push_back(board_at(turn, {1.5 * std::cos(s), 1 * std::sin(s), 12 + (s % 4)}));
+    same.push_back(board_at(turn, {1.5 * std::cos(s), 1 * std::sin(s), 12.0 + (s % 4)}));
   }
   check_honest(with_boards(tele, far, 0.1, 1));
   check_honest(with_boards(make_scene(2, 3, 0), same, 0.1, 1));
