@@ -27,7 +27,7 @@ struct Flags : CommonFlags {
   std::string distance;
   std::filesystem::path lenses;
   double spacing_m = 0;
-  bool complete = false, no_board = false;
+  bool complete = false, no_board = false, shared_lens = false;
 };
 
 using Clock = std::chrono::steady_clock;
@@ -94,7 +94,10 @@ const char* name_of(Lens lens) {
 Json produced_by(const Flags& flags, const Recording& recording, const Calibration& c) {
   return {{"program", std::string("stuv ") + STUV_VERSION},
           {"board", board_spec(c.observations.board)},
-          {"lens", name_of(flags.lens)},
+          {"lens", flags.lenses.empty() ? name_of(flags.lens) : "held"},
+          {"lenses", !flags.lenses.empty() ? flags.lenses.string()
+                     : flags.shared_lens   ? "one for all"
+                                           : "one a camera"},
           {"sets", recording.sets.size()},
           {"boards", c.observations.boards.size()},
           {"detector", fmt::format("stuv {}, OpenCV", kDetectorVersion)},
@@ -127,6 +130,17 @@ NoBoardOptions no_board_options(const Flags& flags) {
   return options;
 }
 
+CalibrationOptions calibration_options(const Flags& flags) {
+  CalibrationOptions options;
+  options.solve.lens = flags.lens;
+  options.solve.shared_lens = flags.shared_lens;
+  if (flags.lenses.empty()) return options;
+  if (flags.shared_lens) throw UsageError("--shared-lens and --lenses exclude each other");
+  for (const RigCamera& rc : read_rig(flags.lenses).cameras)
+    if (rc.determined) options.solve.known.push_back(rc.camera);
+  return options;
+}
+
 void print_summary(const Flags& flags, const Calibration& c) {
   const auto step = [](const Eigen::Vector2d& v) {
     return v.norm() > 0 ? fmt::format("{:.2f}", 1e3 * v.norm()) : "-";
@@ -141,6 +155,7 @@ void print_summary(const Flags& flags, const Calibration& c) {
   fmt::print("verdict: {}\n", c.good ? "good" : "not good");
   for (const std::string& reason : c.reasons) fmt::print("  {}\n", reason);
   for (const std::string& note : c.notes) fmt::print("note: {}\n", note);
+  for (const std::string& next : c.advice) fmt::print("next: {}\n", next);
 }
 
 int write_rig_and_report(const Flags& flags, const Calibration& c, double seconds, double seconds_corners) {
@@ -213,6 +228,7 @@ int run(const Flags& flags) {
   if (flags.complete) require_complete(recording);
   const Reporter reporter = console_reporter();
   if (flags.no_board) return run_without_board(flags, recording, reporter);
+  const CalibrationOptions options = calibration_options(flags);
   const Board board = choose_board(flags, recording);
   FoundCorners found = find_corners(recording, board, reporter);
   const double seconds_corners = seconds_since(begin);
@@ -223,8 +239,6 @@ int run(const Flags& flags) {
                 board.kind == Board::Kind::chessboard ? "check its inner corners COLSxROWS, light and focus"
                                                       : "check its markers, light and focus");
 
-  CalibrationOptions options;
-  options.solve.lens = flags.lens;
   Calibration c =
       calibrate(observations_of(recording, board, std::move(found)), recording, options, reporter);
   c.rig.produced_by = produced_by(flags, recording, c);
@@ -260,10 +274,12 @@ void add_calibrate_command(CLI::App& app, Action& action) {
   command->add_option("--lens", flags->lens, "opencv4, opencv8 or splined [opencv4]")
       ->transform(CLI::CheckedTransformer(lenses))
       ->type_name("LENS");
+  command->add_flag("--shared-lens", flags->shared_lens,
+                    "One lens for all cameras, where they are identical");
   command->add_flag("--no-board", flags->no_board, "Solve from the scene: features that several cameras see");
   command
       ->add_option("--lenses", flags->lenses,
-                   "With --no-board: rig whose lenses these are [one shared focal length]")
+                   "Rig whose lenses are held [solved; with --no-board one shared focal length]")
       ->type_name("RIG");
   command->add_option("--spacing-m", flags->spacing_m,
                       "With --no-board: scale by the lattice's spacing along s [m]");

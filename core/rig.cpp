@@ -96,7 +96,7 @@ void write_rig(const fs::path& folder, const Rig& rig) {
                        {"col", rc.col},
                        {"model", model},
                        {"determined", rc.determined},
-                       {"position_m", list(rc.camera.cam_from_rig.centre())},
+                       {"position_m", rc.determined ? list(rc.camera.cam_from_rig.centre()) : Json(nullptr)},
                        {"position_sigma_m", rc.determined ? list(rc.position_sigma_m) : Json(nullptr)},
                        {"off_lattice_m", list(rc.off_lattice_m)}});
   }
