@@ -7,6 +7,7 @@
 #include "app/console.h"
 #include "calib/board/find_corners.h"
 #include "calib/board/overlay.h"
+#include "calib/photometry/board_samples.h"
 #include "calib/solve/report.h"
 #include "calib/tracking/moving_rig.h"
 #include "calib/tracking/sequence.h"
@@ -158,15 +159,18 @@ void print_summary(const Flags& flags, const Calibration& c) {
   for (const std::string& next : c.advice) fmt::print("next: {}\n", next);
 }
 
-int write_rig_and_report(const Flags& flags, const Calibration& c, double seconds, double seconds_corners) {
+int write_rig_and_report(const Flags& flags, const Calibration& c, double seconds, double seconds_corners,
+                         const Photometry* photometry = nullptr) {
   AtomicOutput output(flags.output, AtomicOutput::Kind::folder, flags.force);
   write_rig(output.path(), c.rig);
   const Json report = report_json(c, seconds, seconds_corners);
   write_json(output.path() / "report.json", report);
   write_text(output.path() / "report.html", report_page(c));
+  if (photometry != nullptr) write_photometry(output.path(), *photometry);
   output.commit();
   write_result(flags, report);
   print_summary(flags, c);
+  if (photometry != nullptr) fmt::print("{}\n", summary_of(*photometry));
   return c.good ? kDone : kVerdictNotGood;
 }
 
@@ -242,7 +246,8 @@ int run(const Flags& flags) {
   Calibration c =
       calibrate(observations_of(recording, board, std::move(found)), recording, options, reporter);
   c.rig.produced_by = produced_by(flags, recording, c);
-  return write_rig_and_report(flags, c, seconds_since(begin), seconds_corners);
+  const Photometry photometry = photometry_from_boards(recording, c.observations, c.rig, reporter);
+  return write_rig_and_report(flags, c, seconds_since(begin), seconds_corners, &photometry);
 }
 
 }  // namespace

@@ -121,6 +121,7 @@ void read_rig(TableReader table, synthetic::RigOptions& rig) {
   table.read("focal_px", rig.focal_px);
   table.read("distortion", rig.distortion);
   table.read("vignetting", rig.vignetting);
+  table.read("offset", rig.offset);
   table.read("missing", rig.missing);
   TableReader jitter = table.child("jitter");
   jitter.read("position_m", rig.jitter.position_m);
@@ -129,6 +130,8 @@ void read_rig(TableReader table, synthetic::RigOptions& rig) {
   jitter.read("principal_point_px", rig.jitter.principal_point_px);
   jitter.read("distortion", rig.jitter.distortion);
   jitter.read("gain_relative", rig.jitter.gain_relative);
+  jitter.read("colour_gain_relative", rig.jitter.colour_gain_relative);
+  jitter.read("offset", rig.jitter.offset);
   jitter.read("vignetting", rig.jitter.vignetting);
   jitter.read("time_skew_ns", rig.jitter.time_skew_ns);
   jitter.finish();
