@@ -212,10 +212,10 @@ void add_table(Page& page, const Calibration& c) {
     page.add("<td>{:.1f} {:.1f}<td>{:.2f}<td>{:.1f} {:.1f}", rc.camera.intrinsics[0], rc.camera.intrinsics[1],
              s.focal_sigma_px.maxCoeff(), rc.camera.intrinsics[2], rc.camera.intrinsics[3]);
     page.add("<td>{:.2f} {:.2f} {:.2f}", p.x(), p.y(), p.z());
-    if (rc.determined)
+    if (rc.determined && e.allFinite())
       page.add("<td>{:.2f} {:.2f} {:.2f}", e.x(), e.y(), e.z());
     else
-      page.add("<td>not determined");
+      page.add(rc.determined ? "<td>not known" : "<td>not determined");
     page.add("<td>{}<td>{}<td>{:.3f}</tr>\n", s.boards, s.outliers, s.rms_px);
   }
   page.add("</table>\n");
