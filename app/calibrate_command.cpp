@@ -7,6 +7,7 @@
 #include "app/console.h"
 #include "calib/board/find_corners.h"
 #include "calib/board/overlay.h"
+#include "calib/interchange/corners_vnl.h"
 #include "calib/photometry/board_samples.h"
 #include "calib/solve/report.h"
 #include "calib/tracking/moving_rig.h"
@@ -26,7 +27,7 @@ struct Flags : CommonFlags {
   std::filesystem::path overlay;
   Lens lens = Lens::opencv4;
   std::string distance;
-  std::filesystem::path lenses;
+  std::filesystem::path lenses, corners;
   double spacing_m = 0;
   bool complete = false, no_board = false, shared_lens = false;
 };
@@ -44,6 +45,17 @@ Board choose_board(const Flags& flags, const Recording& recording) {
     return parse_board(recording.source["board"]);
   throw Error(flags.recording.string(), "does not say which board it shows",
               "name it: --board chessboard:28x17:20mm (inner corners, square size)");
+}
+
+/// --corners: what somebody found already.
+FoundCorners corners_from_file(const Flags& flags, const Board& board, const Recording& recording,
+                               const Reporter& reporter) {
+  int unused = 0;
+  FoundCorners found = read_found_corners(flags.corners, board, recording, unused);
+  if (unused > 0)
+    reporter.warn(fmt::format("{}: {} of its pictures are not in the recording and are left out",
+                              flags.corners.string(), unused));
+  return found;
 }
 
 Observations observations_of(const Recording& recording, const Board& board, FoundCorners found) {
@@ -222,6 +234,8 @@ int run_moving(const Flags& flags) {
 }
 
 int run(const Flags& flags) {
+  if (!flags.corners.empty() && (flags.no_board || !flags.moving.empty()))
+    throw UsageError("--corners is for boards: leave --no-board and --moving away");
   if (!flags.moving.empty() && (flags.no_board || !flags.board.empty()))
     throw UsageError("--moving, --no-board and --board exclude each other");
   if (!flags.moving.empty()) return run_moving(flags);
@@ -234,7 +248,8 @@ int run(const Flags& flags) {
   if (flags.no_board) return run_without_board(flags, recording, reporter);
   const CalibrationOptions options = calibration_options(flags);
   const Board board = choose_board(flags, recording);
-  FoundCorners found = find_corners(recording, board, reporter);
+  FoundCorners found = flags.corners.empty() ? find_corners(recording, board, reporter)
+                                             : corners_from_file(flags, board, recording, reporter);
   const double seconds_corners = seconds_since(begin);
   if (!flags.overlay.empty()) write_overlays(flags, recording, board, found, reporter);
   if (found.boards == 0)
@@ -274,6 +289,10 @@ void add_calibrate_command(CLI::App& app, Action& action) {
       ->type_name("BOARD");
   command->add_option("--overlay", flags->overlay, "Folder for the pictures with the corners found drawn")
       ->type_name("DIR");
+  command
+      ->add_option("--corners", flags->corners,
+                   "Solve from the corners in mrcal's corners.vnl instead of looking for boards")
+      ->type_name("FILE");
   const std::map<std::string, Lens> lenses = {
       {"opencv4", Lens::opencv4}, {"opencv8", Lens::opencv8}, {"splined", Lens::splined}};
   command->add_option("--lens", flags->lens, "opencv4, opencv8 or splined [opencv4]")

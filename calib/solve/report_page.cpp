@@ -368,7 +368,9 @@ void add_table(Page& page, const Calibration& c) {
       page.add("<td>{:.1f} {:.1f}<td>{:.2f}<td>{:.1f} {:.1f}", rc.camera.intrinsics[0],
                rc.camera.intrinsics[1], s.focal_sigma_px.maxCoeff(), rc.camera.intrinsics[2],
                rc.camera.intrinsics[3]);
-      page.add("<td>{:.2f} {:.2f} {:.2f}<td>{:.3f} {:.3f} {:.3f}", p.x(), p.y(), p.z(), e.x(), e.y(), e.z());
+      page.add("<td>{:.2f} {:.2f} {:.2f}", p.x(), p.y(), p.z());
+      page.add("<td>{}",
+               e.allFinite() ? fmt::format("{:.3f} {:.3f} {:.3f}", e.x(), e.y(), e.z()) : "not known");
       const double turn = 1e3 * s.rotation_sigma_rad.maxCoeff();
       page.add("<td>{}", std::isfinite(turn) ? fmt::format("{:.3f}", turn) : "-");
     }
