@@ -207,7 +207,7 @@ std::vector<tracking::MovingFrame> moving_frames(const Flags& flags, const Recor
   if (recording.sets.empty()) throw Error(flags.recording.string(), "has no set", "record one");
   std::vector<tracking::SequenceFrame> sequence;
   for (std::size_t i = 0; i < recording.cameras.size(); ++i) {
-    tracking::SequenceFrame frame{recording.cameras[i].name, recording.sets[0].frames[i].file, double(i)};
+    tracking::SequenceFrame frame{recording.cameras[i].name, recording.sets[0].frames[i].file, double(i), -1};
     sequence.push_back(std::move(frame));
   }
   tracking::number_frames(sequence);
