@@ -73,7 +73,9 @@ End end_of(const CornerImage& image, const SquareColours& colours, const CornerG
     if (!steps_at(grid, place.first, place.second, step[0], step[1])) continue;
     // The squares end one step out; half of a usual margin further there is paper.
     const Eigen::Vector2d out = toward * step[axis];
-    const double spare = window_radius(step[0], step[1]) + 1;
+    // What growing a corner looks at: its window, and its squares a third of a step away.
+    const double spare =
+        std::max(window_radius(step[0], step[1]) + 1, (step[0].norm() + step[1].norm()) / 3 + 2);
     const Eigen::AlignedBox2d picture(
         Eigen::Vector2d::Constant(spare),
         Eigen::Vector2d(image.luma.cols - 1 - spare, image.luma.rows - 1 - spare));

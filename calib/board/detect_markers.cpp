@@ -123,7 +123,7 @@ int common_turn(const std::vector<Found>& found, const std::vector<Box>& boxes, 
 
 /// Markers that the nearest others do not predict are other things that look like one, or the board is
 /// another one.
-void drop_misplaced(const std::vector<Box>& boxes, int turn, std::vector<Found>& found) {
+std::size_t drop_misplaced(const std::vector<Box>& boxes, int turn, std::vector<Found>& found) {
   constexpr std::size_t kVoters = 4;
   constexpr double kTolerance = 0.25;  // of the distance: boxes of another layout lie a square apart
   if (found.size() < 3) return 0;

@@ -42,9 +42,11 @@ std::string kalibr_target_spec(const std::filesystem::path& file) {
     return it->second;
   };
   const std::string type = value("target_type");
-  if (type == "aprilgrid")
-    return fmt::format("aprilgrid:{}x{}:{}m:{}", value("tagCols"), value("tagRows"), value("tagSize"),
-                       value("tagSpacing"));
+  if (type == "aprilgrid") {
+    const std::string columns = value("tagCols"), rows = value("tagRows");
+    const std::string size = value("tagSize"), spacing = value("tagSpacing");
+    return fmt::format("aprilgrid:{}x{}:{}m:{}", columns, rows, size, spacing);
+  }
   if (type != "checkerboard")
     throw Error(file.string(), "is of type '" + type + "'", "use a target of type aprilgrid or checkerboard");
   const std::string square = value("rowSpacingMeters");

@@ -234,11 +234,13 @@ TEST_CASE(
   const auto spread = [](const std::vector<double>& v) {
     return *std::max_element(v.begin(), v.end()) / *std::min_element(v.begin(), v.end());
   };
-  CHECK(spread(plain) > 3);
-  CHECK(spread(normalised) < 0.5 * spread(plain));
+  // Neighbouring edges bleed into the windows of blurred corners, which no noise explains: sigma is then up
+  // to twice too small. Without it, errors differ by a factor of nine.
+  CHECK(spread(plain) > 6);
+  CHECK(spread(normalised) < 0.35 * spread(plain));
   for (const double n : normalised) {
     CHECK(n > 0.6);
-    CHECK(n < 1.5);
+    CHECK(n < 2);
   }
 }
 
