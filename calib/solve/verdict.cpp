@@ -147,17 +147,18 @@ void judge_cameras(const Calibration& c, const CalibrationOptions& options, Text
 /// Whether boards and halves of the data that were kept apart differ by what the uncertainty says.
 void judge_validation(const Calibration& c, Texts& reasons, Texts& notes) {
   // Times the stated uncertainty. Real corners' errors are not independent of their neighbours': a factor of
-  // two or three is common, and no fault that a user can mend.
-  constexpr double kFalse = 5, kDoubtful = 2;
+  // two or three is common, and no fault that a user can mend. What is false but small does no harm.
+  constexpr double kFalse = 5, kDoubtful = 2, kHarmlessPx = 0.5;
+  const auto say = [&](double ratio, double px, std::string text) {
+    if (ratio > kDoubtful) (ratio > kFalse && px > kHarmlessPx ? reasons : notes).push_back(std::move(text));
+  };
   if (!c.validation) return;
   if (const auto& cv = c.validation->left_out) {
-    const double ratio = cv->rms_px / cv->predicted_px;
-    if (ratio > kDoubtful)
-      (ratio > kFalse ? reasons : notes)
-          .push_back(
-              fmt::format("boards that were left out are predicted to {:.2f} px, the stated uncertainty "
-                          "says {:.2f}: it is too small",
-                          cv->rms_px, cv->predicted_px));
+    say(cv->rms_px / cv->predicted_px, cv->rms_px,
+        fmt::format(
+            "boards that were left out are predicted to {:.2f} px, the stated uncertainty says {:.2f}: "
+            "it is too small",
+            cv->rms_px, cv->predicted_px));
     if (cv->rms_px > 5 * c.solution.rms_px)
       notes.push_back(
           fmt::format("a board that was left out is predicted to {:.2f} px only, the boards of the solve to "
@@ -165,12 +166,12 @@ void judge_validation(const Calibration& c, Texts& reasons, Texts& notes) {
                       cv->rms_px, c.solution.rms_px));
   }
   if (const auto& h = c.validation->halves) {
-    const double ratio = std::max(h->lens_ratio, h->centre_ratio);
-    if (ratio > kDoubtful)
-      (ratio > kFalse ? reasons : notes)
-          .push_back(fmt::format("either half of the sets gives lenses {:.1f} and places {:.1f} times as "
-                                 "different as the stated uncertainty says: it is too small",
-                                 h->lens_ratio, h->centre_ratio));
+    double sum_sq = 0;
+    for (const HalfData::Camera& camera : h->cameras) sum_sq += camera.lens_px * camera.lens_px;
+    say(std::max(h->lens_ratio, h->centre_ratio), std::sqrt(sum_sq / static_cast<double>(h->cameras.size())),
+        fmt::format("either half of the sets gives lenses {:.1f} and places {:.1f} times as different as the "
+                    "stated uncertainty says: it is too small",
+                    h->lens_ratio, h->centre_ratio));
   }
 }
 

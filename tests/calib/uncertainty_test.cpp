@@ -39,8 +39,8 @@ TEST_CASE("aligned covariances do not know what all cameras do together") {
     for (int k = 0; k < 6; ++k) {
       Eigen::VectorXd x(6 * n);
       for (Eigen::Index i = 0; i < n; ++i) {
-        const Eigen::Vector3d omega = k < 3 ? Eigen::Vector3d::Unit(k) : Eigen::Vector3d::Zero();
-        const Eigen::Vector3d tau = k < 3 ? Eigen::Vector3d::Zero() : Eigen::Vector3d::Unit(k - 3);
+        Eigen::Vector3d omega = Eigen::Vector3d::Zero(), tau = omega;
+        (k < 3 ? omega : tau)[k % 3] = 1;
         x.segment<6>(6 * i) << omega, omega.cross(centres[i]) + tau;
       }
       CHECK(rigidly_aligned_poses(x * x.transpose(), centres).cwiseAbs().maxCoeff() < 1e-9);
