@@ -17,7 +17,7 @@ Eigen::Vector3d fall(double rho) {
 }
 
 /// Standard deviations of the priors, and the least noise that they are weighed against: that of 8 bits.
-constexpr double kOffsetPrior = 0.05, kGainPrior = 0.5, kFallPrior = 0.1, kMeanFallPrior = 0.3;
+constexpr double kOffsetPrior = 0.05, kGainPrior = 0.5, kFallPrior = 0.03, kMeanFallPrior = 0.3;
 constexpr double kLeastNoise = 1e-3;
 
 struct Sample {
