@@ -1,5 +1,7 @@
 #pragma once
 
+#include <limits>
+
 #include "calib/photometry/photometry.h"
 #include "core/camera.h"
 
@@ -18,6 +20,8 @@ struct PhotometryOptions {
   double most_gain_sigma = 0.01;  ///< relative; beyond it a camera is not determined
   double most_offset_sigma = 0.005;
   double most_corner_sigma = 0.02;
+  /// Beyond it, after the best fit, no camera is determined: what they look at is not what this model says.
+  double most_spread = std::numeric_limits<double>::infinity();
   double most_pairs = 4e6;  ///< of cameras at one point: beyond it points are thinned out evenly
 };
 

@@ -45,9 +45,15 @@ std::vector<Eigen::Vector2d> rectified(const std::vector<Eigen::Vector2d>& corne
   return result;
 }
 
-/// The same lattice of corners may have been counted from its other end (Board::is_ambiguous).
+/// The same lattice of corners may have been counted from its other end (Board::is_ambiguous): then steps
+/// from corner to corner point the other way.
 void turn_alike(const std::vector<Eigen::Vector2d>& a, std::vector<Eigen::Vector2d>& b) {
-  if ((a.back() - a.front()).dot(b.back() - b.front()) < 0) std::reverse(b.begin(), b.end());
+  double alike = 0;
+  for (std::size_t k = 0; k + 1 < a.size(); ++k) {
+    const double product = (a[k + 1] - a[k]).dot(b[k + 1] - b[k]);
+    if (std::isfinite(product)) alike += product;
+  }
+  if (alike < 0) std::reverse(b.begin(), b.end());
 }
 
 }  // namespace
