@@ -101,7 +101,9 @@ Photometry photometry_from_boards(const Recording& recording, const Observations
     if (channels[i] == most) samples.insert(samples.end(), found[i].begin(), found[i].end());
   std::vector<Camera> cameras;
   for (const RigCamera& rc : rig.cameras) cameras.push_back(rc.camera);
-  return estimate_photometry(samples, cameras, most, "boards");
+  PhotometryOptions options;
+  options.most_spread = 0.01;
+  return estimate_photometry(samples, cameras, most, "boards", options);
 }
 
 }  // namespace stuv

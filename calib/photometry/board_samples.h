@@ -15,8 +15,9 @@ std::optional<std::array<double, 3>> flat_value(const Image& image, double white
                                                 const std::array<Eigen::Vector2d, 4>& quad);
 
 /// Photometry from the black and white squares of boards: a square in one frame set is one surface under one
-/// light for all cameras. Looks at no more than `most_sets` sets, those that most cameras saw. `rig`: cameras
-/// in the order of the observations'. Throws Error if a picture cannot be read.
+/// light for all cameras, if the board is matt: where cameras still differ by more than 1 % after the best
+/// fit, none is determined. Looks at no more than `most_sets` sets, those that most cameras saw. `rig`:
+/// cameras in the order of the observations'. Throws Error if a picture cannot be read.
 Photometry photometry_from_boards(const Recording& recording, const Observations& observations,
                                   const Rig& rig, const Reporter& reporter = {}, int most_sets = 12);
 

@@ -17,7 +17,7 @@ Eigen::Vector3d fall(double rho) {
 }
 
 /// Standard deviations of the priors, and the least noise that they are weighed against: that of 8 bits.
-constexpr double kOffsetPrior = 0.05, kGainPrior = 0.5, kFallPrior = 0.1, kMeanFallPrior = 0.3;
+constexpr double kOffsetPrior = 0.05, kGainPrior = 0.5, kFallPrior = 0.03, kMeanFallPrior = 0.3;
 constexpr double kLeastNoise = 1e-3;
 
 struct Sample {
@@ -456,6 +456,25 @@ void solve_determined(const std::vector<PhotometricSample>& samples, int points,
   }
 }
 
+/// A shining board, or light that changed from camera to camera, looks like offsets and gains of cameras:
+/// then none of them may be believed.
+void refuse_misfit(const PhotometryOptions& options, Photometry& result) {
+  if (!(result.spread_after > options.most_spread)) return;
+  for (CameraPhotometry& c : result.cameras) {
+    CameraPhotometry identity;
+    identity.camera = c.camera;
+    identity.centre_px = c.centre_px;
+    identity.corner_px = c.corner_px;
+    identity.samples = c.samples;
+    identity.reasons = {
+        fmt::format("cameras still differ by {:.1f} % after the best fit, more than {:.1f}: the surface "
+                    "shines, or the light changed",
+                    100 * result.spread_after, 100 * options.most_spread)};
+    c = identity;
+  }
+  result.notes.clear();
+}
+
 CameraPhotometry lens_of(const Camera& camera) {
   CameraPhotometry lens;
   lens.camera = camera.name;
@@ -481,9 +500,10 @@ Photometry estimate_photometry(const std::vector<PhotometricSample>& samples,
   for (const PhotometricSample& s : samples) points = std::max(points, s.point + 1);
   Choice choice = choose(samples, cameras.size(), points, options);
   solve_determined(samples, points, choice, options, result);
+  refuse_misfit(options, result);
   for (std::size_t k = 0; k < cameras.size(); ++k) {
     CameraPhotometry& c = result.cameras[k];
-    if (c.determined) continue;
+    if (c.determined || !c.reasons.empty()) continue;
     if (choice.reason[k].empty()) choice.reason[k] = "there is no other camera to compare it with";
     c.reasons.push_back(choice.reason[k]);
   }

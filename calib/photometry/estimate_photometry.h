@@ -1,5 +1,7 @@
 #pragma once
 
+#include <limits>
+
 #include "calib/photometry/photometry.h"
 #include "core/camera.h"
 
@@ -14,10 +16,12 @@ struct PhotometricSample {
 };
 
 struct PhotometryOptions {
-  int least_samples = 24;          ///< of a camera, of points that others see as well
-  double most_gain_sigma = 0.005;  ///< relative; beyond it a camera is not determined
+  int least_samples = 24;         ///< of a camera, of points that others see as well
+  double most_gain_sigma = 0.01;  ///< relative; beyond it a camera is not determined
   double most_offset_sigma = 0.005;
   double most_corner_sigma = 0.02;
+  /// Beyond it, after the best fit, no camera is determined: what they look at is not what this model says.
+  double most_spread = std::numeric_limits<double>::infinity();
   double most_pairs = 4e6;  ///< of cameras at one point: beyond it points are thinned out evenly
 };
 
@@ -28,7 +32,7 @@ struct PhotometryOptions {
 /// V is a cubic in rho whose Bernstein coefficients fall, 1, 1 - d1, 1 - d1 - d2, 1 - d1 - d2 - d3 with d >=
 /// 0, so V falls; channels share it. Gauss-Newton, points eliminated (Schur complement), Tukey's weights with
 /// the scale from the median of |residuals| (glossy boards and shadows), d >= 0 by an active set. Weak priors
-/// (offset 0 +- 0.05, gain 1 +- 0.5, d its mean over the rig +- 0.1 and that 0 +- 0.3) hold what samples do
+/// (offset 0 +- 0.05, gain 1 +- 0.5, d its mean over the rig +- 0.03 and that 0 +- 0.3) hold what samples do
 /// not determine. Gauge: mean gain 1, mean offset 0.
 ///
 /// A camera in no common view with most of the others, with too few samples, or with a gain whose sigma is

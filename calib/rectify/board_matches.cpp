@@ -1,6 +1,7 @@
 #include "calib/rectify/board_matches.h"
 
 #include <algorithm>
+#include <cmath>
 #include <optional>
 
 #include "calib/board/find_corners.h"
@@ -24,21 +25,35 @@ std::optional<Board> kept_board(const Recording& recording, const FrameSet& set)
   return std::nullopt;
 }
 
-/// Corners in the rectified view.
+/// Corners in the rectified view; NaN where the board has none or none was seen.
 std::vector<Eigen::Vector2d> rectified(const std::vector<Eigen::Vector2d>& corners, const Camera& camera,
                                        const CommonView& view) {
-  std::vector<Eigen::Vector2d> result;
-  for (const Eigen::Vector3d& ray : unproject(camera, corners)) {
-    const Eigen::Vector3d r = camera.cam_from_rig.R.transpose() * ray;
-    result.emplace_back(view.cx_px + view.focal_px * r.x() / r.z(),
-                        view.cy_px + view.focal_px * r.y() / r.z());
+  std::vector<Eigen::Vector2d> seen;
+  std::vector<std::size_t> which;
+  for (std::size_t k = 0; k < corners.size(); ++k)
+    if (corners[k].allFinite()) {
+      seen.push_back(corners[k]);
+      which.push_back(k);
+    }
+  std::vector<Eigen::Vector2d> result(corners.size(), Eigen::Vector2d::Constant(std::nan("")));
+  const std::vector<Eigen::Vector3d> rays = unproject(camera, seen);
+  for (std::size_t i = 0; i < rays.size(); ++i) {
+    const Eigen::Vector3d r = camera.cam_from_rig.R.transpose() * rays[i];
+    result[which[i]] = {view.cx_px + view.focal_px * r.x() / r.z(),
+                        view.cy_px + view.focal_px * r.y() / r.z()};
   }
   return result;
 }
 
-/// The same lattice of corners may have been counted from its other end (Board::is_ambiguous).
+/// The same lattice of corners may have been counted from its other end (Board::is_ambiguous): then steps
+/// from corner to corner point the other way.
 void turn_alike(const std::vector<Eigen::Vector2d>& a, std::vector<Eigen::Vector2d>& b) {
-  if ((a.back() - a.front()).dot(b.back() - b.front()) < 0) std::reverse(b.begin(), b.end());
+  double alike = 0;
+  for (std::size_t k = 0; k + 1 < a.size(); ++k) {
+    const double product = (a[k + 1] - a[k]).dot(b[k + 1] - b[k]);
+    if (std::isfinite(product)) alike += product;
+  }
+  if (alike < 0) std::reverse(b.begin(), b.end());
 }
 
 }  // namespace
@@ -53,9 +68,8 @@ std::vector<ViewMatch> board_matches(const Recording& recording, const FrameSet&
   std::vector<std::vector<Eigen::Vector2d>> corners(lf.views.size());
   for (std::size_t v = 0; v < lf.views.size(); ++v) {
     const int index = recording.camera_index(lf.views[v].name);
-    if (!found.corners[0][index].empty())
-      corners[v] =
-          rectified(found.corners[0][index], rig.cameras[rig.camera_index(lf.views[v].name)].camera, common);
+    if (const BoardView& seen = found.views[0][index]; !seen.empty())
+      corners[v] = rectified(seen.corners_px, rig.cameras[rig.camera_index(lf.views[v].name)].camera, common);
   }
   std::vector<ViewMatch> matches;
   for (const auto& [a, b] : neighbours(lf)) {

@@ -191,21 +191,22 @@ GreyView grey_view(const Image& rectified) {
   return view;
 }
 
-std::vector<std::pair<int, int>> neighbours(const LightField& lf) {
+std::vector<std::pair<int, int>> neighbours(const LightField& lf, int reach) {
   std::map<std::pair<int, int>, int> at;
   for (const int i : lf.views_with(ViewRole::input)) at[{lf.views[i].row, lf.views[i].col}] = i;
   std::vector<std::pair<int, int>> pairs;
+  const auto look = [&](int view, int rows, int cols) {
+    const View& from = lf.views[view];
+    int found = 0;
+    for (int k = 1; from.row + k * rows < lf.rows && from.col + k * cols < lf.cols && found < reach; ++k)
+      if (const auto next = at.find({from.row + k * rows, from.col + k * cols}); next != at.end()) {
+        pairs.emplace_back(view, next->second);
+        ++found;
+      }
+  };
   for (const auto& [place, view] : at) {
-    for (int col = place.second + 1; col < lf.cols; ++col)
-      if (const auto next = at.find({place.first, col}); next != at.end()) {
-        pairs.emplace_back(view, next->second);
-        break;
-      }
-    for (int row = place.first + 1; row < lf.rows; ++row)
-      if (const auto next = at.find({row, place.second}); next != at.end()) {
-        pairs.emplace_back(view, next->second);
-        break;
-      }
+    look(view, 0, 1);
+    look(view, 1, 0);
   }
   return pairs;
 }

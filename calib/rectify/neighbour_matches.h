@@ -22,8 +22,8 @@ struct ViewMatch {
   Eigen::Vector2d in_a, in_b;
 };
 
-/// Every view with the next one to its right and the next one below it, holes skipped.
-std::vector<std::pair<int, int>> neighbours(const LightField& lf);
+/// Every view with the next `reach` ones to its right and below it, holes skipped.
+std::vector<std::pair<int, int>> neighbours(const LightField& lf, int reach = 1);
 
 /// Points of view a found again in view b.
 ///

@@ -115,16 +115,16 @@ class Rectifier {
   const Reporter& reporter_;
 };
 
-/// Matches of all neighbours among views whose grey pictures are there.
-std::vector<ViewMatch> match_neighbours(const LightField& lf, const std::vector<GreyView>& grey,
-                                        const Reporter& reporter) {
-  const std::vector<std::pair<int, int>> pairs = neighbours(lf);
+/// Of views with those up to `reach` places on.
+std::vector<ViewMatch> match_neighbours(const LightField& lf, const std::vector<GreyView>& grey, int reach,
+                                        int most_features, const Reporter& reporter) {
+  const std::vector<std::pair<int, int>> pairs = neighbours(lf, reach);
   std::vector<std::vector<ViewMatch>> found(pairs.size());
   std::size_t done = 0;
   std::mutex mutex;
   parallel_for(static_cast<int>(pairs.size()), [&](int i) {
     const auto [a, b] = pairs[i];
-    found[i] = match_views(lf, a, b, grey[a], grey[b]);
+    found[i] = match_views(lf, a, b, grey[a], grey[b], most_features);
     const std::lock_guard lock(mutex);
     reporter.at("matching neighbours", ++done, pairs.size());
   });
@@ -156,6 +156,8 @@ Sightings sightings_of(const std::vector<ViewMatch>& matches, std::size_t views)
 /// Photometry from what neighbouring views of the set have in common.
 Photometry photometry_from_views(Rectifier& rectifier, LightField lf, const CommonView& common,
                                  const Reporter& reporter) {
+  // From neighbour to neighbour alone, errors add up along a row of cameras.
+  constexpr int kReach = 2, kFeatures = 1000;
   const std::size_t n = rectifier.jobs().size();
   std::vector<GreyView> grey(n);
   rectifier.for_each("comparing brightness", [&](int i, const Image& picture, const LensMap& map) {
@@ -166,7 +168,7 @@ Photometry photometry_from_views(Rectifier& rectifier, LightField lf, const Comm
     lf.views.push_back(view_of(*job.camera, common));
     cameras.push_back(job.camera->camera);
   }
-  const Sightings sightings = sightings_of(match_neighbours(lf, grey, reporter), n);
+  const Sightings sightings = sightings_of(match_neighbours(lf, grey, kReach, kFeatures, reporter), n);
   grey.clear();
   std::vector<std::vector<PhotometricSample>> found(n);
   rectifier.for_each("comparing brightness", [&](int i, const Image& picture, const LensMap&) {
@@ -204,7 +206,7 @@ std::optional<Photometry> choose_photometry(Rectifier& rectifier, const LightFie
 
 Alignment alignment_by_features(const LightField& lf, const std::vector<GreyView>& grey,
                                 const Reporter& reporter) {
-  return alignment_of(lf, match_neighbours(lf, grey, reporter), "features");
+  return alignment_of(lf, match_neighbours(lf, grey, 1, 500, reporter), "features");
 }
 
 /// Warps and writes all pictures; views that see nothing are left out of the light field.

@@ -249,8 +249,7 @@ std::vector<Correction> corrections_of(const Image& image, const CameraPhotometr
     corrections.push_back({static_cast<float>(offset) * top, static_cast<float>(1 / gain),
                            static_cast<float>(p.falloff[0]), static_cast<float>(p.falloff[1]),
                            static_cast<float>(p.falloff[2]), static_cast<float>(p.centre_px.x()),
-                           static_cast<float>(1 / (p.corner_px * p.corner_px)), whole ? 0.0F : -kInf,
-                           white});
+                           static_cast<float>(1 / (p.corner_px * p.corner_px)), whole ? 0.0F : -kInf, white});
   }
   return corrections;
 }

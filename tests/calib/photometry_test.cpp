@@ -160,6 +160,20 @@ TEST_CASE("photometry: what samples do not determine is left alone, with the rea
     for (const CameraPhotometry& c : p.cameras) CHECK_THAT(c.reasons.at(0), Contains("corners"));
     CHECK_THAT(p.notes.at(0), Contains("share"));
   }
+  SECTION("a board that shines: nobody is believed") {
+    auto samples = samples_of(truth, 300, 0.003, random);
+    // What it mirrors depends on the place and on where one looks from.
+    for (PhotometricSample& s : samples)
+      for (double& v : s.stored) v *= 1 + 0.05 * std::sin(0.7 * s.point + 1.3 * s.camera);
+    PhotometryOptions options;
+    options.most_spread = 0.01;
+    const Photometry p = estimate_photometry(samples, row_of_cameras(5), 3, "boards", options);
+    for (const CameraPhotometry& c : p.cameras) {
+      CHECK_FALSE(c.determined);
+      CHECK(c.gain == std::array<double, 3>{1, 1, 1});
+      CHECK_THAT(c.reasons.at(0), Contains("shines"));
+    }
+  }
   SECTION("one camera") {
     const Photometry p = estimate_photometry({}, row_of_cameras(1), 3, "boards");
     CHECK_FALSE(p.cameras[0].determined);
