@@ -7,6 +7,7 @@
 #include <limits>
 #include <optional>
 
+#include "calib/two_view/critical_conic.h"
 #include "calib/two_view/match_noise.h"
 #include "calib/two_view/robust.h"
 #include "calib/two_view/rotation.h"
@@ -294,17 +295,23 @@ double parallax_false_alarms(const Work& w, const Plane& plane, const Agreement&
   return log10_false_alarms(off, agree, 2, 1, std::sqrt(2) * cut * w.line_chance);
 }
 
-/// Median, over the inliers, of the deviation of a point's line where parallax has moved it by kParallax
-/// radii.
+/// Deviation of the line of `a` where parallax has moved its point to either side of the place on it nearest
+/// to b.
+double sigma_with_parallax(const FundamentalMl& ml, const Eigen::Vector2d& a, const Eigen::Vector2d& b,
+                           double reach) {
+  const Eigen::Vector3d l = ml.F * a.homogeneous();
+  const Eigen::Vector2d along = Eigen::Vector2d(-l.y(), l.x()).normalized() * reach;
+  return std::max(line_sigma(ml.F, ml.covariance, a, b + along),
+                  line_sigma(ml.F, ml.covariance, a, b - along));
+}
+
+/// Median, over the inliers, of that of their own lines; what only a plane tells is not known there.
 double line_sigma_at_parallax(const Work& w, const FundamentalMl& ml, const std::vector<int>& inliers) {
   std::vector<double> sigma;
   const std::size_t step = 1 + inliers.size() / 200;
   for (std::size_t i = 0; i < inliers.size(); i += step) {
     const Match& m = w.all[inliers[i]];
-    const Eigen::Vector3d l = ml.F * m.a.homogeneous();
-    const Eigen::Vector2d along = Eigen::Vector2d(-l.y(), l.x()).normalized() * kParallax * w.radius_px;
-    sigma.push_back(std::max(line_sigma(ml.F, ml.covariance, m.a, m.b + along),
-                             line_sigma(ml.F, ml.covariance, m.a, m.b - along)));
+    sigma.push_back(sigma_with_parallax(ml, m.a, m.b, kParallax * w.radius_px));
   }
   return median_of(sigma);
 }
@@ -351,8 +358,8 @@ TwoViewEstimate estimate_two_view(const Matches& matches, const TwoViewOptions& 
   e.samples = s.samples;
   Agreement a;
   auto ml = maximise(w, s.candidates, options.gold_standard, a);
-  for (int doubled = 0; doubled < 2 && ml && options.threshold_px == 0 && a.cut >= w.threshold_px;
-       ++doubled) {
+  for (int doubled = 0;
+       doubled < 2 && ml && options.threshold_px == 0 && kCutSigmas * a.noise >= w.threshold_px; ++doubled) {
     Work wider = w;
     wider.threshold_px *= 2;
     Agreement more;
@@ -387,6 +394,8 @@ TwoViewEstimate estimate_two_view(const Matches& matches, const TwoViewOptions& 
                              plane.inliers.size(), n);
     else if (!(e.line_sigma_px <= options.most_line_sigma * w.radius_px))
       e.reason = fmt::format("the matches leave epipolar lines uncertain by {:.2g} px", e.line_sigma_px);
+    else if (on_conic_through_epipole(chosen(w.all, a.inliers), ml->F, noise))
+      e.reason = "the points lie on a line, or on a conic through the epipole, which leaves F free";
     else
       e.status = TwoViewStatus::ok;
   } else {

@@ -47,13 +47,13 @@ struct TwoViewEstimate {
 };
 
 /// F from matches, robust and to maximum likelihood, or a reason why there is none:
-///   1. distinct_matches; RANSAC; the dominant plane, and the epipole from what is off it
-///   (plane_and_parallax)
-///   2. noise from the residuals, inliers to three deviations of it, Gold Standard; until stable
+///   1. distinct_matches; RANSAC, several times; the dominant plane, and the epipole from what is off it
+///      (plane_and_parallax)
+///   2. of all these the likeliest, its noise and which matches are right estimated with it
+///      (fit_noise_and_shape); Gold Standard with those weights
 ///   3. model selection: by GRIC between H and F (Torr, ICPR 1998): rho(r^2) + n d log 4 + k log 4n; number
-///   of false
-///      alarms of the agreement (Moisan, Stival, IJCV 2004), of F and of the epipole given the plane; and how
-///      well the covariance says that lines off the plane are known.
+///      of false alarms of the agreement (Moisan, Stival, IJCV 2004), of F and of the epipole given the
+///      plane; and how well the covariance says that lines off the points' plane or curve are known.
 /// Same matches, options and seed: same bits, for any order of the matches and any number of threads.
 TwoViewEstimate estimate_two_view(const Matches& matches, const TwoViewOptions& options = {});
 
