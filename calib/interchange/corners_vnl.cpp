@@ -133,6 +133,9 @@ bool ends_with(const fs::path& path, const fs::path& end) {
   return true;
 }
 
+/// Of a corner of weight 1: the file has relative weights only, and so do the uses of sigmas.
+constexpr double kUsualSigmaPx = 0.1;
+
 std::string picture_path(const Recording& recording, const Frame& frame) {
   std::error_code ec;
   const fs::path below = fs::relative(frame.file, recording.folder, ec);
@@ -187,13 +190,15 @@ std::vector<FramePlace> places_of(const std::vector<PictureCorners>& pictures, c
 }
 
 std::vector<PictureCorners> picture_corners(const Recording& recording, const FoundCorners& found) {
+  const double usual_sigma_px = median_sigma_px(found);
   std::vector<PictureCorners> pictures;
   for (std::size_t s = 0; s < recording.sets.size(); ++s)
     for (std::size_t c = 0; c < recording.cameras.size(); ++c) {
       const Frame& frame = recording.sets[s].frames[c];
       if (frame.status != FrameStatus::ok) continue;
-      const std::vector<Eigen::Vector2d>& corners = found.corners[s][c];
-      pictures.push_back({picture_path(recording, frame), corners, std::vector<double>(corners.size(), 1)});
+      const BoardView& view = found.views[s][c];
+      pictures.push_back(
+          {picture_path(recording, frame), view.corners_px, corner_weights(view, usual_sigma_px)});
     }
   return pictures;
 }
@@ -203,8 +208,8 @@ FoundCorners read_found_corners(const fs::path& file, const Board& board, const 
   const std::vector<PictureCorners> pictures = read_corners_vnl(file, board.corners());
   const std::vector<FramePlace> places = places_of(pictures, recording, file.string());
   FoundCorners found;
-  found.corners.assign(recording.sets.size(), {});
-  for (auto& set : found.corners) set.resize(recording.cameras.size());
+  found.views.assign(recording.sets.size(), {});
+  for (auto& set : found.views) set.resize(recording.cameras.size());
   found.size_px.assign(recording.cameras.size(), Eigen::Vector2i::Zero());
   unused = 0;
   for (std::size_t i = 0; i < pictures.size(); ++i) {
@@ -216,7 +221,10 @@ FoundCorners read_found_corners(const fs::path& file, const Board& board, const 
     ++found.pictures;
     if (pictures[i].corners_px.empty()) continue;
     ++found.boards;
-    found.corners[set][camera] = pictures[i].corners_px;
+    BoardView& view = found.views[set][camera];
+    view.corners_px = pictures[i].corners_px;
+    for (std::size_t k = 0; k < view.corners_px.size(); ++k)
+      view.sigma_px.push_back(view.corners_px[k].allFinite() ? kUsualSigmaPx / pictures[i].weights[k] : NAN);
     if (!found.size_px[camera].isZero()) continue;
     const ImageInfo info = read_image_info(recording.sets[set].frames[camera].file);
     found.size_px[camera] = {info.width, info.height};
