@@ -22,6 +22,7 @@ int main(int argc, char** argv) {
   Action action;
   add_cameras_command(app, action);
   add_capture_command(app, action);
+  add_board_command(app, action);
   add_calibrate_command(app, action);
   add_check_command(app, action);
   add_import_command(app, action);

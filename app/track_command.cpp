@@ -48,26 +48,17 @@ std::vector<SequenceFrame> choose_frames(std::vector<SequenceFrame> frames, cons
   return chosen;
 }
 
-Image read_frame(const SequenceFrame& frame, const Camera& camera) {
-  Image image = read_image(frame.file);
-  if (image.width != camera.width || image.height != camera.height)
-    throw Error(
-        frame.file.string(),
-        fmt::format("is {}x{}, the camera is {}x{}", image.width, image.height, camera.width, camera.height),
-        "give the camera that took it, at this size");
-  return image;
-}
-
 int run_teach(const Flags& flags, const Camera& camera, const ObjectModel& model,
               const std::vector<SequenceFrame>& frames) {
   const std::vector<std::optional<Pose>> poses = poses_of(flags.teach, frames);
   AtomicOutput output(flags.output, AtomicOutput::Kind::folder, flags.force);
   std::vector<Keyframe> keyframes;
   Json list = Json::array();
+  FrameReader reader;
   for (std::size_t i = 0; i < frames.size(); ++i) {
     if (!poses[i]) continue;
     keyframes.push_back(
-        teach_keyframe(frames[i].name, grey_of(read_frame(frames[i], camera)), model, camera, *poses[i]));
+        teach_keyframe(frames[i].name, grey_of(reader.read(frames[i], camera)), model, camera, *poses[i]));
     list.push_back({{"frame", frames[i].name}, {"keypoints", keyframes.back().points.size()}});
   }
   if (keyframes.empty())
@@ -86,25 +77,33 @@ int run_teach(const Flags& flags, const Camera& camera, const ObjectModel& model
   return kDone;
 }
 
-/// Where the overlay pictures go; nothing without --overlay.
+/// Pictures with the wireframe drawn: a folder of them or a video, as --overlay is named; nothing without it.
 class Overlays {
  public:
-  Overlays(const Flags& flags, const ObjectModel& model, const Camera& camera)
+  Overlays(const Flags& flags, const ObjectModel& model, const Camera& camera, double fps)
       : model_(model), camera_(camera) {
-    if (!flags.overlay.empty()) output_.emplace(flags.overlay, AtomicOutput::Kind::folder, flags.force);
+    if (flags.overlay.empty()) return;
+    const bool is_video = is_video_name(flags.overlay);
+    output_.emplace(flags.overlay, is_video ? AtomicOutput::Kind::file : AtomicOutput::Kind::folder,
+                    flags.force);
+    if (is_video) video_.emplace(output_->path(), fps);
   }
   void add(const SequenceFrame& frame, const Image& picture, const TrackedFrame& tracked) {
     if (!output_) return;
+    const Image drawn = draw_overlay(picture, tracked.has_pose ? &model_ : nullptr, camera_,
+                                     tracked.cam_from_object, tracked.lost);
+    if (video_) return video_->add(drawn);
     const std::string name = "overlay_" + frame.name + ".png";
-    write_image(output_->path() / name, tracked.has_pose ? draw_overlay(picture, model_, camera_,
-                                                                        tracked.cam_from_object, tracked.lost)
-                                                         : picture);
+    write_image(output_->path() / name, drawn);
     names_.push_back(name);
   }
   void commit() {
     if (!output_) return;
-    write_json(output_->path() / "overlay.json",
-               {{"format", "stuv.overlay"}, {"version", 1}, {"pictures", names_}});
+    if (video_)
+      video_->close();
+    else
+      write_json(output_->path() / "overlay.json",
+                 {{"format", "stuv.overlay"}, {"version", 1}, {"pictures", names_}});
     output_->commit();
   }
 
@@ -112,8 +111,12 @@ class Overlays {
   const ObjectModel& model_;
   const Camera& camera_;
   std::optional<AtomicOutput> output_;
+  std::optional<VideoWriter> video_;
   std::vector<std::string> names_;
 };
+
+/// Of the video that the frames come from, or what videos of pictures are played at.
+double fps_of(const SequenceFrame& frame) { return frame.in_video >= 0 ? VideoReader(frame.file).fps() : 30; }
 
 std::vector<TimedPose> found_poses(const Track& track) {
   std::vector<TimedPose> poses;
@@ -167,9 +170,10 @@ int run_track(const Flags& flags, const Camera& camera, const ObjectModel& model
   }
   const Reporter reporter = console_reporter();
   AtomicOutput output(flags.output, AtomicOutput::Kind::file, flags.force);
-  Overlays overlays(flags, model, camera);
+  FrameReader reader;
+  Overlays overlays(flags, model, camera, fps_of(track.frames.front()));
   for (const SequenceFrame& frame : track.frames) {
-    const Image picture = read_frame(frame, camera);
+    const Image picture = reader.read(frame, camera);
     track.tracked.push_back(tracker.track(grey_of(picture)));
     overlays.add(frame, picture, track.tracked.back());
     reporter.at("tracking", track.tracked.size(), track.frames.size());
@@ -233,9 +237,9 @@ void add_track_command(CLI::App& app, Action& action) {
       "which\nthe object is lost have no line. Wherever poses are read, a path with {frame} to files of one "
       "4x4 "
       "matrix does too.\n");
-  command->add_option("frames", flags->pattern, "Pictures, with {frame} in the file's name")
+  command->add_option("frames", flags->pattern, "Pictures, with {frame} in the file's name, or a video")
       ->required()
-      ->type_name("PATTERN");
+      ->type_name("PATTERN|VIDEO");
   command->add_option("--model", flags->model, "The object: Wavefront OBJ in metres (f, l)")
       ->required()
       ->type_name("M.obj");
@@ -256,8 +260,10 @@ void add_track_command(CLI::App& app, Action& action) {
       ->type_name("POSES");
   command->add_option("--frames", flags->frames, "Only these: a list 1,14,27 or FIRST:LAST[:STEP]")
       ->type_name("LIST");
-  command->add_option("--overlay", flags->overlay, "Folder for pictures with the wireframe drawn")
-      ->type_name("DIR");
+  command
+      ->add_option("--overlay", flags->overlay,
+                   "Folder for pictures with the wireframe drawn, or a video of them")
+      ->type_name("DIR|FILE.mp4");
   command->add_option("--plots", flags->plots, "Page with pose, residuals and N_eff over the frames")
       ->type_name("FILE.html");
   command

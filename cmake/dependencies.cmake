@@ -2,7 +2,7 @@
 find_package(PkgConfig REQUIRED)
 find_package(Threads REQUIRED)
 find_package(Eigen3 REQUIRED NO_MODULE)
-find_package(OpenCV 4.6 REQUIRED COMPONENTS core imgproc imgcodecs calib3d features2d flann video)
+find_package(OpenCV 4.6 REQUIRED COMPONENTS core imgproc imgcodecs calib3d features2d flann video videoio aruco)
 find_package(Ceres 2.1 REQUIRED)
 find_package(OpenImageIO 2.4 REQUIRED)
 find_package(TBB REQUIRED)
@@ -17,6 +17,7 @@ find_package(yaml-cpp REQUIRED)
 pkg_check_modules(epoxy REQUIRED IMPORTED_TARGET epoxy)
 pkg_check_modules(libcamera REQUIRED IMPORTED_TARGET libcamera)
 pkg_check_modules(imgui REQUIRED IMPORTED_TARGET imgui)
+pkg_check_modules(cairo REQUIRED IMPORTED_TARGET cairo cairo-pdf cairo-svg)
 pkg_check_modules(glfw REQUIRED IMPORTED_TARGET glfw3)
 
 # mrcal and CHOLMOD ship neither a CMake config nor a .pc file.

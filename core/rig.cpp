@@ -100,7 +100,7 @@ void write_rig(const fs::path& folder, const Rig& rig) {
                        {"col", rc.col},
                        {"model", model},
                        {"determined", rc.determined},
-                       {"position_m", list(rc.camera.cam_from_rig.centre())},
+                       {"position_m", rc.determined ? list(rc.camera.cam_from_rig.centre()) : Json(nullptr)},
                        {"position_sigma_m", sigma_to_json(rc)},
                        {"off_lattice_m", list(rc.off_lattice_m)}});
   }

@@ -5,6 +5,8 @@
 #include <opencv2/imgproc.hpp>
 #include <vector>
 
+#include "core/parallel.h"
+
 namespace stuv::tracking {
 namespace {
 
@@ -31,6 +33,24 @@ inline Eigen::Vector2f sample(const ImageF& g, float x, float y) {
   const float w00 = (1 - fx) * (1 - fy), w10 = fx * (1 - fy), w01 = (1 - fx) * fy, w11 = fx * fy;
   return {w00 * a[0] + w10 * a[2] + w01 * b[0] + w11 * b[2],
           w00 * a[1] + w10 * a[3] + w01 * b[1] + w11 * b[3]};
+}
+
+/// Whether bilinear gradients can reach the threshold, by the pixel they start from.
+Raster<std::uint8_t> strong_cells(const ImageF& gradient, double threshold) {
+  const auto least = static_cast<float>(threshold * threshold);
+  Raster<std::uint8_t> strong(gradient.width, gradient.height, 1);
+  parallel_for(gradient.height, [&](int y) {
+    const float* g = gradient.row(y);
+    std::uint8_t* out = strong.row(y);
+    for (int x = 0; x < gradient.width; ++x)
+      out[x] = g[2 * x] * g[2 * x] + g[2 * x + 1] * g[2 * x + 1] >= least ? 1 : 0;
+  });
+  for (int y = 0; y + 1 < strong.height; ++y) {
+    std::uint8_t *out = strong.row(y), *next = strong.row(y + 1);
+    for (int x = 0; x + 1 < strong.width; ++x)
+      out[x] = static_cast<std::uint8_t>(out[x] | out[x + 1] | next[x] | next[x + 1]);
+  }
+  return strong;
 }
 
 void insert_nearest(EdgeHypotheses& h, float distance, float strength) {
@@ -60,20 +80,30 @@ GradientPicture gradient_of(const Grey& picture, double sigma_px, double least) 
   both = cv::Mat(picture.height, picture.width, CV_32FC2, out.gradient.data.data());
   cv::merge(parts, 2, both);
   out.threshold = std::clamp(4 * 1.48 * median_magnitude(out.gradient), least, 3 * least);
+  out.strong = strong_cells(out.gradient, out.threshold);
   return out;
 }
 
 EdgeHypotheses search_edges(const GradientPicture& picture, const Eigen::Vector2d& p,
                             const Eigen::Vector2d& n, double range_px, double least_cosine) {
   const int range = std::clamp(static_cast<int>(std::ceil(range_px)), 1, kMostRange);
+  const int count = 2 * range + 3;
+  const Eigen::Vector2f nf = n.cast<float>(), first = p.cast<float>() - static_cast<float>(range + 1) * nf;
+  // Where no pixel around reaches the threshold nothing is interpolated: most of a picture is like that.
+  std::array<bool, 2 * kMostRange + 5> near = {};  // by i + 1
+  for (int i = 0; i < count; ++i) {
+    const Eigen::Vector2f q = first + static_cast<float>(i) * nf;
+    near[i + 1] = q.x() >= 0 && q.y() >= 0 && q.x() < static_cast<float>(picture.gradient.width - 1) &&
+                  q.y() < static_cast<float>(picture.gradient.height - 1) &&
+                  picture.strong.at(static_cast<int>(q.x()), static_cast<int>(q.y())) != 0;
+  }
   std::array<float, 2 * kMostRange + 3> response;
   std::array<Eigen::Vector2f, 2 * kMostRange + 3> gradient;
-  const Eigen::Vector2f nf = n.cast<float>();
-  const int count = 2 * range + 3;
   for (int i = 0; i < count; ++i) {
-    const auto s = static_cast<float>(i - range - 1);
-    gradient[i] = sample(picture.gradient, static_cast<float>(p.x()) + s * nf.x(),
-                         static_cast<float>(p.y()) + s * nf.y());
+    response[i] = 0;
+    if (!near[i] && !near[i + 1] && !near[i + 2]) continue;
+    const Eigen::Vector2f q = first + static_cast<float>(i) * nf;
+    gradient[i] = sample(picture.gradient, q.x(), q.y());
     response[i] = gradient[i].dot(nf);
   }
   EdgeHypotheses out;

@@ -13,7 +13,8 @@ using Grey = Raster<std::uint8_t>;
 /// Gradient of a picture smoothed by a Gaussian, two channels (x, y) [grey levels per px].
 struct GradientPicture {
   ImageF gradient;
-  double threshold = 0;  ///< weakest gradient that counts as an edge
+  Raster<std::uint8_t> strong;  ///< 1 where one of the four pixels from (x, y) on reaches the threshold
+  double threshold = 0;         ///< weakest gradient that counts as an edge
 };
 
 /// threshold: 4 times the noise of the gradient, estimated as 1.48 times its median magnitude, but between

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <limits>
 #include <map>
+#include <numbers>
 #include <opencv2/calib3d.hpp>
 #include <opencv2/features2d.hpp>
 #include <opencv2/flann.hpp>
@@ -29,8 +30,18 @@ constexpr double kContrast = 0.02;
 constexpr double kStrictRatio = 0.6;
 constexpr std::size_t kEnoughMatches = 14;
 
+/// A second keypoint of the frame this near in likeness (distances' ratio) makes a match ambiguous, unless it
+/// is the same place.
+constexpr double kRivalRatio = 0.9, kSamePlace_px = 3;
+
+/// When two matches agree on how their keyframe lies in the frame: scales within a factor, turns, and places
+/// within a part of their distance and some pixels. A turn of the object out of the picture changes all
+/// three.
+constexpr double kScaleFactor = 1.7, kTurn_rad = 0.6, kPlacePart = 0.25, kPlace_px = 6;
+
 struct Found {
   std::vector<Eigen::Vector2d> pixels;
+  std::vector<double> sizes_px, directions;
   Raster<std::uint8_t> descriptors;
 };
 
@@ -44,6 +55,8 @@ Found find_keypoints(const Grey& picture) {
   found.descriptors = Raster<std::uint8_t>(kDescriptorSize, static_cast<int>(keypoints.size()), 1);
   for (std::size_t i = 0; i < keypoints.size(); ++i) {
     found.pixels.emplace_back(keypoints[i].pt.x, keypoints[i].pt.y);
+    found.sizes_px.push_back(keypoints[i].size);
+    found.directions.push_back(keypoints[i].angle * std::numbers::pi / 180);
     std::copy_n(bytes.ptr(static_cast<int>(i)), kDescriptorSize, found.descriptors.row(static_cast<int>(i)));
   }
   return found;
@@ -64,8 +77,12 @@ double nearest_depth(const ObjectModel& model, const std::vector<Eigen::Vector3d
   return nearest;
 }
 
-Json pair_json(const Eigen::Vector2d& q, const Eigen::Vector3d& x) {
-  return {q.x(), q.y(), x.x(), x.y(), x.z()};
+Json keypoint_json(const Keyframe& k, std::size_t i) {
+  const Eigen::Vector2d& q = k.pixels[i];
+  const Eigen::Vector3d& x = k.points[i];
+  Json json = {q.x(), q.y(), x.x(), x.y(), x.z()};
+  if (!k.sizes_px.empty()) json.insert(json.end(), {k.sizes_px[i], k.directions[i]});
+  return json;
 }
 
 Image as_image(const Raster<std::uint8_t>& pixels) {
@@ -96,7 +113,11 @@ Keyframe read_keyframe(const std::filesystem::path& folder, const Json& json) {
   for (const Json& k : json.at("keypoints")) {
     keyframe.pixels.emplace_back(k.at(0).get<double>(), k.at(1).get<double>());
     keyframe.points.emplace_back(k.at(2).get<double>(), k.at(3).get<double>(), k.at(4).get<double>());
+    if (k.size() < 7) continue;
+    keyframe.sizes_px.push_back(k.at(5).get<double>());
+    keyframe.directions.push_back(k.at(6).get<double>());
   }
+  if (keyframe.sizes_px.size() != keyframe.points.size()) keyframe.sizes_px.clear();
   if (!keyframe.points.empty())
     keyframe.descriptors = read_bytes(folder / (keyframe.name + ".descriptors.png"));
   if (keyframe.descriptors.height != static_cast<int>(keyframe.points.size()) ||
@@ -127,7 +148,7 @@ bool epnp(const std::vector<cv::Point3d>& points, const std::vector<cv::Point2d>
 
 Keyframe teach_keyframe(const std::string& name, const Grey& picture, const ObjectModel& model,
                         const Camera& camera, const Pose& cam_from_object) {
-  Keyframe keyframe{name, cam_from_object, picture, {}, {}, {}};
+  Keyframe keyframe{name, cam_from_object, picture, {}, {}, {}, {}, {}};
   const Found found = find_keypoints(picture);
   std::vector<Eigen::Vector3d> cam;
   for (const Eigen::Vector3d& v : model.vertices) cam.push_back(cam_from_object * v);
@@ -140,6 +161,8 @@ Keyframe teach_keyframe(const std::string& name, const Grey& picture, const Obje
     if (!std::isfinite(depth)) continue;
     keyframe.pixels.push_back(found.pixels[i]);
     keyframe.points.push_back(cam_from_object.inverse() * (depth * ray));
+    keyframe.sizes_px.push_back(found.sizes_px[i]);
+    keyframe.directions.push_back(found.directions[i]);
     const std::uint8_t* row = found.descriptors.row(static_cast<int>(i));
     keyframe.descriptors.data.insert(keyframe.descriptors.data.end(), row, row + kDescriptorSize);
     ++keyframe.descriptors.height;
@@ -151,7 +174,7 @@ void write_keyframes(const std::filesystem::path& folder, const std::vector<Keyf
   Json list = Json::array();
   for (const Keyframe& k : keyframes) {
     Json points = Json::array();
-    for (std::size_t i = 0; i < k.points.size(); ++i) points.push_back(pair_json(k.pixels[i], k.points[i]));
+    for (std::size_t i = 0; i < k.points.size(); ++i) points.push_back(keypoint_json(k, i));
     list.push_back(
         {{"name", k.name}, {"cam_from_object", to_json(k.cam_from_object)}, {"keypoints", points}});
     write_image(folder / (k.name + ".png"), as_image(k.picture));
@@ -173,16 +196,19 @@ std::vector<Keyframe> read_keyframes(const std::filesystem::path& folder) {
 }
 
 struct KeypointMatcher::Index {
-  std::vector<Eigen::Vector3d> points;
+  const Keyframe* keyframe = nullptr;
+  int number = 0;
   cv::Mat descriptors;
   mutable cv::flann::Index tree;
 };
 
 KeypointMatcher::KeypointMatcher(const std::vector<Keyframe>& keyframes) {
-  for (const Keyframe& k : keyframes) {
+  for (std::size_t i = 0; i < keyframes.size(); ++i) {
+    const Keyframe& k = keyframes[i];
     if (k.points.size() < 2) continue;
     Index index;
-    index.points = k.points;
+    index.keyframe = &k;
+    index.number = static_cast<int>(i);
     cv::Mat(k.descriptors.height, k.descriptors.width, CV_8U,
             const_cast<std::uint8_t*>(k.descriptors.data.data()))
         .convertTo(index.descriptors, CV_32F);
@@ -196,64 +222,158 @@ KeypointMatcher::KeypointMatcher(const std::vector<Keyframe>& keyframes) {
 
 KeypointMatcher::~KeypointMatcher() = default;
 
-std::vector<PointMatch> KeypointMatcher::match(const Grey& frame, double ratio) const {
+namespace {
+
+struct Candidate {
+  double square = 0;  ///< distance of the descriptors
+  double part = 0;    ///< of the distance to the second nearest
+  KeypointMatch match;
+};
+
+KeypointMatch match_of(const Found& found, int i, const Keyframe& k, int number, int j) {
+  KeypointMatch m;
+  m.point = {k.points[j], found.pixels[i], 1};
+  m.keyframe = number;
+  m.taught = k.pixels[j];
+  if (k.sizes_px.empty() || !(k.sizes_px[j] > 0)) return m;
+  m.scale = found.sizes_px[i] / k.sizes_px[j];
+  m.turn = found.directions[i] - k.directions[j];
+  return m;
+}
+
+/// Of all candidates for one place of the object the best, if no other is nearly as good.
+std::vector<Candidate> unrivalled(const std::vector<Candidate>& candidates) {
+  std::map<std::tuple<double, double, double>, std::vector<const Candidate*>> by_place;
+  for (const Candidate& c : candidates) {
+    const Eigen::Vector3d& x = c.match.point.x;
+    by_place[{x.x(), x.y(), x.z()}].push_back(&c);
+  }
+  std::vector<Candidate> kept;
+  for (const auto& [place, rivals] : by_place) {
+    const Candidate& best = **std::min_element(
+        rivals.begin(), rivals.end(), [](const auto* a, const auto* b) { return a->square < b->square; });
+    const bool ambiguous = std::any_of(rivals.begin(), rivals.end(), [&](const Candidate* c) {
+      return (c->match.point.q - best.match.point.q).norm() > kSamePlace_px &&
+             best.square > kRivalRatio * kRivalRatio * c->square;
+    });
+    if (!ambiguous) kept.push_back(best);
+  }
+  return kept;
+}
+
+}  // namespace
+
+std::vector<KeypointMatch> KeypointMatcher::match(const Grey& frame, double ratio) const {
+  if (indices_.empty()) return {};
   const Found found = find_keypoints(frame);
   if (found.pixels.empty()) return {};
   cv::Mat query, indices, squares;
   cv::Mat(found.descriptors.height, found.descriptors.width, CV_8U,
           const_cast<std::uint8_t*>(found.descriptors.data.data()))
       .convertTo(query, CV_32F);
-  struct Best {
-    float square;
-    float part;  ///< of the squared distance to the second nearest
-    PointMatch match;
-  };
-  std::map<std::pair<double, double>, Best> best;  // by pixel: SIFT gives a place several orientations
+  // By pixel: SIFT gives a place several orientations.
+  std::map<std::pair<double, double>, Candidate> best;
   for (const Index& index : indices_) {
     index.tree.knnSearch(query, indices, squares, 2, cv::flann::SearchParams(128));
     for (int i = 0; i < query.rows; ++i) {
-      const float first = squares.at<float>(i, 0), second = squares.at<float>(i, 1);
-      if (!(first < ratio * ratio * second)) continue;
+      const double first = squares.at<float>(i, 0), second = squares.at<float>(i, 1);
       const Eigen::Vector2d& q = found.pixels[i];
-      const Best candidate{first, first / second, {index.points[indices.at<int>(i, 0)], q, 1}};
+      const Candidate candidate{first, second > 0 ? std::sqrt(first / second) : 1,
+                                match_of(found, i, *index.keyframe, index.number, indices.at<int>(i, 0))};
       const auto [at, is_new] = best.try_emplace({q.x(), q.y()}, candidate);
       if (!is_new && first < at->second.square) at->second = candidate;
     }
   }
-  std::map<std::tuple<double, double, double>, Best> by_place;
-  for (const auto& [pixel, candidate] : best) {
-    const Eigen::Vector3d& x = candidate.match.x;
-    const auto [at, is_new] = by_place.try_emplace({x.x(), x.y(), x.z()}, candidate);
-    if (!is_new && candidate.square < at->second.square) at->second = candidate;
-  }
-  std::vector<PointMatch> matches;
+  std::vector<Candidate> candidates;
+  for (const auto& [pixel, candidate] : best) candidates.push_back(candidate);
+  candidates = unrivalled(candidates);
+  std::vector<KeypointMatch> matches;
   for (const double strict : {kStrictRatio, ratio}) {
     matches.clear();
-    for (const auto& [place, candidate] : by_place)
-      if (candidate.part < strict * strict) matches.push_back(candidate.match);
+    for (const Candidate& c : candidates)
+      if (c.part < strict) matches.push_back(c.match);
     if (matches.size() >= kEnoughMatches) break;
   }
   return matches;
 }
 
-std::vector<Hypothesis> draw_hypotheses(const std::vector<PointMatch>& matches, const Lens& lens,
+namespace {
+
+bool agree(const KeypointMatch& a, const KeypointMatch& b) {
+  if (a.keyframe != b.keyframe || !(a.scale > 0) || !(b.scale > 0)) return false;
+  if (a.scale > kScaleFactor * b.scale || b.scale > kScaleFactor * a.scale) return false;
+  if (std::abs(std::remainder(a.turn - b.turn, 2 * std::numbers::pi)) > kTurn_rad) return false;
+  const Eigen::Vector2d step = a.scale * (Eigen::Rotation2Dd(a.turn) * (b.taught - a.taught));
+  return (a.point.q + step - b.point.q).norm() < kPlace_px + kPlacePart * step.norm();
+}
+
+/// Draws sets of matches, by index.
+class SetDrawer {
+ public:
+  SetDrawer(const std::vector<KeypointMatch>& matches, int drawn, std::uint64_t seed)
+      : drawn_(drawn), random_(seed), all_(matches.size()) {
+    for (std::size_t i = 0; i < matches.size(); ++i) {
+      all_[i] = static_cast<int>(i);
+      std::vector<int> friends;
+      for (std::size_t j = 0; j < matches.size(); ++j)
+        if (j != i && agree(matches[i], matches[j])) friends.push_back(static_cast<int>(j));
+      if (static_cast<int>(friends.size()) + 1 < drawn) continue;
+      // As often as it has friends.
+      for (std::size_t k = 0; k < friends.size(); ++k) firsts_.push_back(static_cast<int>(i));
+      friends_[static_cast<int>(i)] = std::move(friends);
+    }
+  }
+
+  /// The first `drawn` of the answer are the set, the others the rest.
+  std::vector<int> draw() {
+    std::vector<int> order = all_;
+    if (!firsts_.empty() && random_() % 2 == 0) {
+      const int first = firsts_[random_() % firsts_.size()];
+      const std::vector<int> set = friends_.at(first);
+      order = {first};
+      order.insert(order.end(), set.begin(), set.end());
+      shuffle(order, 1);
+      std::vector<bool> in(all_.size(), false);
+      for (const int i : order) in[i] = true;
+      for (const int i : all_)
+        if (!in[i]) order.push_back(i);
+      return order;
+    }
+    shuffle(order, 0);
+    return order;
+  }
+
+ private:
+  /// Places `from` .. `drawn` at random among what is there.
+  void shuffle(std::vector<int>& order, int from) {
+    for (int k = from; k < drawn_; ++k)
+      std::swap(order[k], order[k + static_cast<int>(random_() % (order.size() - k))]);
+  }
+
+  int drawn_;
+  std::mt19937_64 random_;
+  std::vector<int> all_, firsts_;
+  std::map<int, std::vector<int>> friends_;
+};
+
+}  // namespace
+
+std::vector<Hypothesis> draw_hypotheses(const std::vector<KeypointMatch>& matches, const Lens& lens,
                                         std::uint64_t seed, const HypothesisOptions& options) {
   if (static_cast<int>(matches.size()) < options.least_matches) return {};
   std::vector<Eigen::Vector2d> pixels;
-  for (const PointMatch& m : matches) pixels.push_back(m.q);
+  for (const KeypointMatch& m : matches) pixels.push_back(m.point.q);
   const std::vector<Eigen::Vector3d> rays = unproject(lens.camera(), pixels);
-  std::vector<int> order(matches.size());
-  std::mt19937_64 random(seed);
+  SetDrawer drawer(matches, options.drawn, seed);
   std::vector<Hypothesis> hypotheses;
   for (int tries = 0; tries < 10 * options.count && static_cast<int>(hypotheses.size()) < options.count;
        ++tries) {
-    for (std::size_t i = 0; i < order.size(); ++i) order[i] = static_cast<int>(i);
+    const std::vector<int> order = drawer.draw();
     std::vector<cv::Point3d> points;
     std::vector<cv::Point2d> directions;
     for (int k = 0; k < options.drawn; ++k) {
-      std::swap(order[k], order[k + static_cast<int>(random() % (order.size() - k))]);
-      const PointMatch& m = matches[order[k]];
-      points.emplace_back(m.x.x(), m.x.y(), m.x.z());
+      const Eigen::Vector3d& x = matches[order[k]].point.x;
+      points.emplace_back(x.x(), x.y(), x.z());
       directions.emplace_back(rays[order[k]].x() / rays[order[k]].z(),
                               rays[order[k]].y() / rays[order[k]].z());
     }
@@ -264,7 +384,7 @@ std::vector<Hypothesis> draw_hypotheses(const std::vector<PointMatch>& matches, 
     const int left = static_cast<int>(matches.size()) - options.drawn;
     for (std::size_t k = 0; k < order.size(); ++k) {
       Eigen::Vector2d q;
-      const PointMatch& m = matches[order[k]];
+      const PointMatch& m = matches[order[k]].point;
       const bool seen = lens.project(h.cam_from_object * m.x, q);
       if (static_cast<int>(k) < options.drawn)
         in_front = in_front && seen;

@@ -132,8 +132,12 @@ Refined refine(const std::vector<EdgeSample>& samples, const std::vector<PointMa
     collect(samples, points, lens, out.cam_from_object, residuals);
     out.residuals = static_cast<int>(residuals.size());
     if (residuals.size() < 3) return out;
-    const double edges_px = robust_deviation(residuals, false), points_px = robust_deviation(residuals, true);
-    out.deviation_px = std::max(edges_px, points_px);
+    double edges_px = 0, points_px = 0;
+    if (step == options.iterations || options.weights == RefineOptions::Weights::tukey) {
+      edges_px = robust_deviation(residuals, false);
+      points_px = robust_deviation(residuals, true);
+      out.deviation_px = std::max(edges_px, points_px);
+    }
     Matrix6 JtJ = Matrix6::Zero();
     Twist Jte = Twist::Zero();
     for (const Residual& r : residuals) {

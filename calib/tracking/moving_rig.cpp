@@ -1,7 +1,5 @@
 #include "calib/tracking/moving_rig.h"
 
-#include <ceres/ceres.h>
-#include <ceres/rotation.h>
 #include <fmt/format.h>
 
 #include <algorithm>
@@ -14,6 +12,7 @@
 #include <set>
 
 #include "calib/lattice_places.h"
+#include "calib/tracking/moving_adjust.h"
 #include "calib/tracking/sequence.h"
 #include "core/error.h"
 #include "core/image_io.h"
@@ -102,12 +101,7 @@ struct Picture {
 };
 
 Picture look(const MovingFrame& frame, const Camera& camera, int keypoints) {
-  const Image image = read_image(frame.file);
-  if (image.width != camera.width || image.height != camera.height)
-    throw Error(
-        frame.file.string(),
-        fmt::format("is {}x{}, the camera is {}x{}", image.width, image.height, camera.width, camera.height),
-        "give the camera that took it, at this size");
+  const Image image = FrameReader().read({frame.name, frame.file, 0, -1}, camera);
   const Grey grey = grey_of(image);
   const cv::Mat pixels(grey.height, grey.width, CV_8U, const_cast<std::uint8_t*>(grey.data.data()));
   std::vector<cv::KeyPoint> found;
@@ -160,12 +154,6 @@ class Unions {
   std::vector<int> parent_;
 };
 
-struct Sight {
-  int frame;
-  Eigen::Vector2d ray;
-};
-using TrackedPoint = std::vector<Sight>;
-
 /// Features of three frames or more that are the same point, no two in one frame.
 std::vector<TrackedPoint> link(const std::vector<Picture>& pictures,
                                const std::vector<std::array<int, 4>>& matches) {
@@ -186,162 +174,6 @@ std::vector<TrackedPoint> link(const std::vector<Picture>& pictures,
     if (sights.size() >= 3 && frames.size() == sights.size()) points.push_back(std::move(sights));
   }
   return points;
-}
-
-/// Linear triangulation; false if the point is not in front of all its cameras.
-bool triangulate(const TrackedPoint& point, const std::vector<Pose>& poses, Eigen::Vector3d& x) {
-  Eigen::Matrix3d A = Eigen::Matrix3d::Zero();
-  Eigen::Vector3d b = Eigen::Vector3d::Zero();
-  for (const Sight& s : point) {
-    const Eigen::Vector3d d = (poses[s.frame].R.transpose() * s.ray.homogeneous()).normalized();
-    const Eigen::Matrix3d P = Eigen::Matrix3d::Identity() - d * d.transpose();
-    A += P;
-    b += P * poses[s.frame].centre();
-  }
-  x = A.ldlt().solve(b);
-  return x.allFinite() && std::all_of(point.begin(), point.end(),
-                                      [&](const Sight& s) { return (poses[s.frame] * x).z() > 0; });
-}
-
-struct Reprojection {
-  Eigen::Vector2d ray;
-  double focal_px;
-  template <class T>
-  bool operator()(const T* pose, const T* x, T* residual) const {
-    T p[3];
-    ceres::AngleAxisRotatePoint(pose, x, p);
-    for (int i = 0; i < 3; ++i) p[i] += pose[3 + i];
-    residual[0] = focal_px * (p[0] / p[2] - ray.x());
-    residual[1] = focal_px * (p[1] / p[2] - ray.y());
-    return true;
-  }
-};
-
-/// Centre and direction stay near the tracked ones.
-struct PosePrior {
-  Pose tracked;
-  double sigma_m, sigma_rad;
-  template <class T>
-  bool operator()(const T* pose, T* residual) const {
-    // The centre, -R^T t, and the small rotation between the two.
-    const T back[3] = {-pose[0], -pose[1], -pose[2]};
-    T centre[3];
-    ceres::AngleAxisRotatePoint(back, pose + 3, centre);
-    const Eigen::Vector3d c = tracked.centre();
-    const Eigen::Vector3d r = vector_from_rotation(tracked.R);
-    for (int i = 0; i < 3; ++i) residual[i] = (-centre[i] - c[i]) / sigma_m;
-    T q[4], q0[4], inverse[4], between[4], turn[3];
-    const T r0[3] = {T(r.x()), T(r.y()), T(r.z())};
-    ceres::AngleAxisToQuaternion(pose, q);
-    ceres::AngleAxisToQuaternion(r0, q0);
-    inverse[0] = q0[0];
-    for (int i = 1; i < 4; ++i) inverse[i] = -q0[i];
-    ceres::QuaternionProduct(q, inverse, between);
-    ceres::QuaternionToAngleAxis(between, turn);
-    for (int i = 0; i < 3; ++i) residual[3 + i] = turn[i] / sigma_rad;
-    return true;
-  }
-};
-
-struct Adjusted {
-  std::vector<Pose> poses;
-  std::vector<Eigen::Vector3d> points;
-  std::vector<double> sum_sq;  ///< per frame, of inliers [px^2]
-  std::vector<int> count, outliers;
-  double worst_px = 0;
-  bool converged = false;
-};
-
-constexpr double kOutlierPx = 4;
-
-void note_residuals(const std::vector<TrackedPoint>& points, double focal_px, Adjusted& a) {
-  a.sum_sq.assign(a.poses.size(), 0);
-  a.count.assign(a.poses.size(), 0);
-  a.outliers.assign(a.poses.size(), 0);
-  for (std::size_t j = 0; j < points.size(); ++j)
-    for (const Sight& s : points[j]) {
-      const double e = focal_px * ((a.poses[s.frame] * a.points[j]).hnormalized() - s.ray).norm();
-      if (!(e < kOutlierPx)) {
-        ++a.outliers[s.frame];
-        continue;
-      }
-      a.sum_sq[s.frame] += e * e;
-      a.count[s.frame] += 2;
-      a.worst_px = std::max(a.worst_px, e);
-    }
-}
-
-Adjusted adjust(const std::vector<Pose>& tracked, std::vector<TrackedPoint>& points, double focal_px,
-                double sigma_m) {
-  Adjusted out;
-  std::vector<std::array<double, 6>> poses;
-  for (const Pose& p : tracked) {
-    const Eigen::Vector3d r = vector_from_rotation(p.R);
-    poses.push_back({r.x(), r.y(), r.z(), p.t.x(), p.t.y(), p.t.z()});
-  }
-  std::vector<TrackedPoint> kept;
-  for (TrackedPoint& point : points) {
-    Eigen::Vector3d x;
-    if (!triangulate(point, tracked, x)) continue;
-    out.points.push_back(x);
-    kept.push_back(std::move(point));
-  }
-  points = std::move(kept);
-  ceres::Problem problem;
-  for (std::size_t j = 0; j < points.size(); ++j)
-    for (const Sight& s : points[j])
-      problem.AddResidualBlock(
-          new ceres::AutoDiffCostFunction<Reprojection, 2, 6, 3>(new Reprojection{s.ray, focal_px}),
-          new ceres::HuberLoss(1), poses[s.frame].data(), out.points[j].data());
-  for (std::size_t i = 0; i < poses.size(); ++i)
-    problem.AddResidualBlock(
-        new ceres::AutoDiffCostFunction<PosePrior, 6, 6>(new PosePrior{tracked[i], sigma_m, 0.05}),
-        new ceres::CauchyLoss(1), poses[i].data());
-  ceres::Solver::Options options;
-  options.linear_solver_type = ceres::SPARSE_SCHUR;
-  options.max_num_iterations = 60;
-  options.num_threads = 1;  // sums in a fixed order
-  options.logging_type = ceres::SILENT;
-  ceres::Solver::Summary summary;
-  ceres::Solve(options, &problem, &summary);
-  out.converged = summary.IsSolutionUsable();
-  for (const auto& p : poses)
-    out.poses.push_back({rotation_from_vector({p[0], p[1], p[2]}), {p[3], p[4], p[5]}});
-  note_residuals(points, focal_px, out);
-  return out;
-}
-
-double median(std::vector<double> values) {
-  std::nth_element(values.begin(), values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2),
-                   values.end());
-  return values[values.size() / 2];
-}
-
-Eigen::Vector3d median_centre(const std::vector<Pose>& poses) {
-  Eigen::Vector3d out;
-  for (int k = 0; k < 3; ++k) {
-    std::vector<double> values;
-    for (const Pose& p : poses) values.push_back(p.centre()[k]);
-    out[k] = median(std::move(values));
-  }
-  return out;
-}
-
-/// Residuals say nothing of scale and place, and robust priors hold them loosely: both again from the tracked
-/// centres, as medians, which a part of slipped frames does not move. False if the frames do not tell.
-bool restore_scale(const std::vector<Pose>& tracked, Adjusted& a) {
-  std::vector<double> ratios;
-  for (std::size_t i = 0; i < tracked.size(); ++i)
-    for (std::size_t j = i + 1; j < tracked.size(); ++j)
-      if (const double now = (a.poses[i].centre() - a.poses[j].centre()).norm(); now > 0)
-        ratios.push_back((tracked[i].centre() - tracked[j].centre()).norm() / now);
-  if (ratios.empty()) return false;
-  const double scale = median(std::move(ratios));
-  if (!(scale > 0) || !std::isfinite(scale)) return false;
-  const Eigen::Vector3d from = median_centre(a.poses), to = median_centre(tracked);
-  for (Pose& p : a.poses) p.t = -(p.R * (to + scale * (p.centre() - from)));
-  for (Eigen::Vector3d& x : a.points) x = to + scale * (x - from);
-  return true;
 }
 
 /// Pairs of frames whose centres are near each other, `near` to each.
@@ -400,6 +232,36 @@ void note_depths(std::vector<Eigen::Vector3d> points, Calibration& c) {
   c.rig.farthest_seen_m = z[z.size() - 1 - z.size() / 100];
 }
 
+/// Covariance of the chosen frames' centres after rigid alignment, in the rig's frame: of the adjustment
+/// after alignment by a similarity, and of the scale, which makes all centres go apart together.
+void note_uncertainty(const LatticeChoice& lattice, const Adjusted& a, Rig& rig, const Layout& layout) {
+  if (a.centre_covariance.size() == 0) return;
+  const auto n = static_cast<Eigen::Index>(lattice.frames.size());
+  std::vector<Eigen::Vector3d> centres;
+  Eigen::Vector3d mean = Eigen::Vector3d::Zero();
+  for (const int frame : lattice.frames) {
+    centres.push_back(a.poses[frame].centre());
+    mean += centres.back() / static_cast<double>(n);
+  }
+  Eigen::MatrixXd covariance(3 * n, 3 * n), turn = Eigen::MatrixXd::Zero(3 * n, 3 * n);
+  Eigen::VectorXd growth(3 * n);
+  for (Eigen::Index i = 0; i < n; ++i) {
+    turn.block<3, 3>(3 * i, 3 * i) = layout.rig_from_ref.R;
+    growth.segment<3>(3 * i) = centres[i] - mean;
+    for (Eigen::Index j = 0; j < n; ++j)
+      covariance.block<3, 3>(3 * i, 3 * j) =
+          a.centre_covariance.block<3, 3>(3 * lattice.frames[i], 3 * lattice.frames[j]);
+  }
+  const Eigen::VectorXd g = growth.normalized();
+  const Eigen::MatrixXd P = Eigen::MatrixXd::Identity(3 * n, 3 * n) - g * g.transpose();
+  covariance = P * rigidly_aligned(covariance, centres) * P;
+  covariance += a.scale_sigma * a.scale_sigma * growth * growth.transpose();
+  rig.centre_covariance_m2 = turn * covariance * turn.transpose();
+  for (Eigen::Index i = 0; i < n; ++i)
+    rig.cameras[i].position_sigma_m =
+        rig.centre_covariance_m2.diagonal().segment<3>(3 * i).cwiseMax(0).cwiseSqrt();
+}
+
 void fill(const std::vector<MovingFrame>& frames, const Camera& camera, const LatticeChoice& lattice,
           const Adjusted& a, Calibration& c) {
   std::vector<PlacedCamera> placed;
@@ -432,6 +294,49 @@ void fill(const std::vector<MovingFrame>& frames, const Camera& camera, const La
   c.solution.converged = a.converged;
   c.solution.rms_px = std::sqrt(sum_sq / count);
   c.solution.worst_px = a.worst_px;
+  note_uncertainty(lattice, a, rig, c.layout);
+}
+
+/// The frames that the points hold: others cannot be placed.
+std::vector<int> determined_frames(const Adjusted& a) {
+  constexpr int least_points = 12;
+  std::vector<int> frames;
+  for (std::size_t i = 0; i < a.poses.size(); ++i)
+    if (a.count[i] >= 2 * least_points) frames.push_back(static_cast<int>(i));
+  return frames;
+}
+
+/// choose_lattice among some of the frames.
+LatticeChoice choose_among(const std::vector<int>& frames, const std::vector<Pose>& all,
+                           const MovingOptions& options) {
+  std::vector<Pose> poses;
+  for (const int i : frames) poses.push_back(all[i]);
+  LatticeChoice choice = choose_lattice(poses, options);
+  for (int& i : choice.frames) i = frames[i];
+  return choice;
+}
+
+void judge(const Adjusted& a, const MovingOptions& options, bool scaled, int slipped, int count,
+           Calibration& c) {
+  if (!a.converged) c.reasons.push_back("the adjustment did not converge");
+  if (!(c.solution.rms_px <= options.most_rms_px))
+    c.reasons.push_back(fmt::format("residuals are large: rms {:.2f} px, more than {:.2f}", c.solution.rms_px,
+                                    options.most_rms_px));
+  if (!scaled) c.reasons.push_back("scale cannot be determined: the tracked poses do not tell");
+  if (slipped > options.most_slipped * count)
+    c.reasons.push_back(
+        fmt::format("{} of {} tracked poses do not fit the pictures: scale and place are those of "
+                    "the others, if they are right; look at the overlays of `stuv track`",
+                    slipped, count));
+  else if (slipped > 0)
+    c.notes.push_back(
+        fmt::format("{} of {} tracked poses do not fit the pictures and were moved", slipped, count));
+  if (c.rig.centre_covariance_m2.size() == 0)
+    c.reasons.push_back("how certain the places are cannot be determined: frames share too few points");
+  else if (std::isfinite(a.scale_sigma))
+    c.notes.push_back(
+        fmt::format("scale is that of the tracked poses, certain to {:.2g} %", 100 * a.scale_sigma));
+  c.good = c.reasons.empty();
 }
 
 }  // namespace
@@ -469,44 +374,33 @@ Calibration calibrate_moving(const std::vector<MovingFrame>& frames, const Camer
   std::vector<Picture> pictures(frames.size());
   parallel_for(count, [&](int i) { pictures[i] = look(frames[i], camera, options.keypoints); });
   const double focal_px = std::sqrt(camera.intrinsics[0] * camera.intrinsics[1]);
-  std::vector<TrackedPoint> points =
+  const std::vector<TrackedPoint> points =
       link(pictures, match_neighbours(pictures, tracked, 1.5 / focal_px, reporter));
   reporter.at("adjusting", 0, 1);
   const double sigma_m = options.prior_part * extent_of(tracked);
-  Adjusted adjusted = adjust(tracked, points, focal_px, sigma_m);
+  Adjusted adjusted = adjust_moving(tracked, points, focal_px, sigma_m);
   const bool scaled = restore_scale(tracked, adjusted);
-  int slipped = 0;
-  for (std::size_t i = 0; i < tracked.size(); ++i)
-    slipped += (adjusted.poses[i].centre() - tracked[i].centre()).norm() < 3 * sigma_m ? 0 : 1;
   reporter.at("adjusting", 1, 1);
-  const LatticeChoice lattice = choose_lattice(adjusted.poses, options);
+  const std::vector<int> determined = determined_frames(adjusted);
+  int slipped = 0;
+  for (const int i : determined)
+    slipped += (adjusted.poses[i].centre() - tracked[i].centre()).norm() < 3 * sigma_m ? 0 : 1;
+  const LatticeChoice lattice = choose_among(determined, adjusted.poses, options);
   if (lattice.frames.size() < 2)
-    throw Error(camera.name, "no lattice of frames can be chosen",
-                "move the camera along a row or over a plane, more evenly");
+    throw Error(
+        camera.name,
+        fmt::format("no lattice can be chosen among the {} of {} frames that share points with others",
+                    determined.size(), frames.size()),
+        "move the camera along a row or over a plane, more evenly, past a scene with texture");
   fill(frames, camera, lattice, adjusted, c);
   note_depths(adjusted.points, c);
-  if (lattice.frames.size() < frames.size())
+  if (determined.size() < frames.size())
+    c.notes.push_back(fmt::format("{} of {} frames share too few points with others and were left out",
+                                  frames.size() - determined.size(), frames.size()));
+  if (lattice.frames.size() < determined.size())
     c.notes.push_back(
         fmt::format("{} of {} frames were chosen for the lattice", lattice.frames.size(), frames.size()));
-  if (!adjusted.converged) c.reasons.push_back("the adjustment did not converge");
-  if (!(c.solution.rms_px <= options.most_rms_px))
-    c.reasons.push_back(fmt::format("residuals are large: rms {:.2f} px, more than {:.2f}", c.solution.rms_px,
-                                    options.most_rms_px));
-  if (!scaled) c.reasons.push_back("scale cannot be determined: the tracked poses do not tell");
-  if (slipped > options.most_slipped * count)
-    c.reasons.push_back(
-        fmt::format("{} of {} tracked poses do not fit the pictures: scale and place are those of "
-                    "the others, if they are right; look at the overlays of `stuv track`",
-                    slipped, count));
-  else if (slipped > 0)
-    c.notes.push_back(
-        fmt::format("{} of {} tracked poses do not fit the pictures and were moved", slipped, count));
-  for (std::size_t i = 0; i < c.cameras.size(); ++i)
-    if (c.cameras[i].inliers < 12)
-      c.reasons.push_back(fmt::format("frame {} shares only {} points with others",
-                                      c.rig.cameras[i].camera.name, c.cameras[i].inliers));
-  c.notes.push_back("uncertainties of the places are not computed for a moving camera");
-  c.good = c.reasons.empty();
+  judge(adjusted, options, scaled, slipped, count, c);
   return c;
 }
 

@@ -8,20 +8,21 @@
 
 namespace stuv::tracking {
 
-Image draw_overlay(const Image& picture, const ObjectModel& model, const Camera& camera, const Pose& pose,
+Image draw_overlay(const Image& picture, const ObjectModel* model, const Camera& camera, const Pose& pose,
                    bool lost) {
   const ImageF pixels = to_float(picture);
   ImageF rgb(picture.width, picture.height, 3);
   for (std::size_t i = 0; i < rgb.data.size(); ++i)
     rgb.data[i] = pixels.data[pixels.channels == 3 ? i : i / 3];
   Image out = from_float(rgb, PixelType::u8);
+  if (model == nullptr) return out;
   cv::Mat canvas(out.height, out.width, CV_8UC3, out.bytes.data());
   const cv::Scalar colour = lost ? cv::Scalar(230, 40, 40) : cv::Scalar(40, 230, 80);
   const Lens lens(camera);
   constexpr int pieces = 16, shift = 4;
-  for (const VisibleSegment& s : visible_edges(model, pose, 2e-3 * model.radius())) {
-    const Eigen::Vector3d a = model.vertices[model.edges[s.edge].a],
-                          b = model.vertices[model.edges[s.edge].b];
+  for (const VisibleSegment& s : visible_edges(*model, pose, 2e-3 * model->radius())) {
+    const Eigen::Vector3d a = model->vertices[model->edges[s.edge].a],
+                          b = model->vertices[model->edges[s.edge].b];
     Eigen::Vector2d last, q;
     bool has_last = false;
     for (int i = 0; i <= pieces; ++i) {

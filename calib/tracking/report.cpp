@@ -34,7 +34,7 @@ Json matrix_json(const Matrix6& m) {
 
 Json seconds_json(const StageSeconds& s) {
   return {{"gradient", s.gradient}, {"keypoints", s.keypoints}, {"texture", s.texture},
-          {"filter", s.filter},     {"estimate", s.estimate},   {"total", s.total()}};
+          {"filter", s.filter},     {"estimate", s.estimate},   {"total", s.total}};
 }
 
 Json frame_json(const Track& track, std::size_t i) {
@@ -161,7 +161,7 @@ Json track_json(const Track& track) {
     starts += f.initialised ? 1 : 0;
     sum.gradient += f.seconds.gradient, sum.keypoints += f.seconds.keypoints,
         sum.texture += f.seconds.texture;
-    sum.filter += f.seconds.filter, sum.estimate += f.seconds.estimate;
+    sum.filter += f.seconds.filter, sum.estimate += f.seconds.estimate, sum.total += f.seconds.total;
   }
   Json json = {{"frames_total", track.tracked.size()},
                {"frames_lost", lost},

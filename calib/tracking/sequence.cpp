@@ -9,6 +9,7 @@
 
 #include "core/error.h"
 #include "core/files.h"
+#include "core/image_io.h"
 
 namespace stuv::tracking {
 namespace fs = std::filesystem;
@@ -65,7 +66,31 @@ std::optional<fs::path> pose_file(const std::string& pattern, const SequenceFram
   return {};
 }
 
+std::vector<SequenceFrame> video_frames(const fs::path& file) {
+  const int count = VideoReader(file).count();
+  std::vector<SequenceFrame> frames;
+  for (int i = 0; i < count; ++i) frames.push_back({fmt::format("{:05}", i), file, double(i), i});
+  return frames;
+}
+
 }  // namespace
+
+FrameReader::FrameReader() = default;
+FrameReader::~FrameReader() = default;
+
+Image FrameReader::read(const SequenceFrame& frame, const Camera& camera) {
+  if (frame.in_video >= 0 && open_ != frame.file) {
+    video_ = std::make_unique<VideoReader>(frame.file);
+    open_ = frame.file;
+  }
+  Image image = frame.in_video >= 0 ? video_->read(frame.in_video) : read_image(frame.file);
+  if (image.width != camera.width || image.height != camera.height)
+    throw Error(
+        frame.file.string(),
+        fmt::format("is {}x{}, the camera is {}x{}", image.width, image.height, camera.width, camera.height),
+        "give the camera that took it, at this size");
+  return image;
+}
 
 void number_frames(std::vector<SequenceFrame>& frames) {
   const bool numbers =
@@ -74,12 +99,14 @@ void number_frames(std::vector<SequenceFrame>& frames) {
     for (std::size_t i = 0; i < frames.size(); ++i) frames[i].time = static_cast<double>(i);
 }
 
-std::vector<SequenceFrame> find_frames(const std::string& pattern) {
-  const fs::path path(pattern);
+std::vector<SequenceFrame> find_frames(const std::string& source) {
+  const fs::path path(source);
   const std::string name = path.filename().string();
   const std::size_t at = name.find(kFrame);
+  if (at == std::string::npos && is_video_name(path)) return video_frames(path);
   if (at == std::string::npos)
-    throw Error(pattern, "has no {frame} in its file name", "write e.g. 'frames/frame_{frame}.png'");
+    throw Error(source, "has no {frame} in its file name and is no video",
+                "write e.g. 'frames/frame_{frame}.png' or walk.mp4");
   const std::string head = name.substr(0, at), tail = name.substr(at + kFrame.size());
   const fs::path folder = path.has_parent_path() ? path.parent_path() : fs::path(".");
   std::error_code ec;
@@ -91,9 +118,9 @@ std::vector<SequenceFrame> find_frames(const std::string& pattern) {
     if (file.size() <= head.size() + tail.size() || !file.starts_with(head) || !file.ends_with(tail))
       continue;
     const std::string frame = file.substr(head.size(), file.size() - head.size() - tail.size());
-    if (file.front() != '.') frames.push_back({frame, entry.path(), 0});
+    if (file.front() != '.') frames.push_back({frame, entry.path(), 0, -1});
   }
-  if (frames.empty()) throw Error(pattern, "matches no file", "check the path and where {frame} stands");
+  if (frames.empty()) throw Error(source, "matches no file", "check the path and where {frame} stands");
   std::sort(frames.begin(), frames.end(),
             [](const auto& a, const auto& b) { return natural_less(a.name, b.name); });
   number_frames(frames);

@@ -6,6 +6,8 @@
 #include <opencv2/imgproc.hpp>
 #include <opencv2/video/tracking.hpp>
 
+#include "core/parallel.h"
+
 namespace stuv::tracking {
 namespace {
 
@@ -34,16 +36,20 @@ Eigen::AlignedBox2i pixels_of(const std::array<Eigen::Vector3d, 3>& corners, con
 }
 
 void draw_depth(const std::array<Eigen::Vector3d, 3>& c, int face, const Eigen::AlignedBox2i& box,
-                const ImageF& rays, DepthPatch& patch) {
+                const ImageF& rays, int stride, DepthPatch& patch) {
   Eigen::Matrix3d A;
   A << c[0], c[1], c[2];
   const double det = A.determinant();
   if (std::abs(det) < 1e-12) return;  // seen edge-on
   // ray * depth = A b: barycentric b / depth = A^-1 ray
   const Eigen::Matrix3f inverse = A.inverse().cast<float>();
-  for (int y = box.min().y(); y <= box.max().y(); ++y) {
+  // The rows and columns of the stride count from the patch's corner.
+  const auto from = [&](int first, int origin) {
+    return first + (stride - (first - origin) % stride) % stride;
+  };
+  for (int y = from(box.min().y(), patch.y0); y <= box.max().y(); y += stride) {
     float* out = patch.depth.row(y - patch.y0);
-    for (int x = box.min().x(); x <= box.max().x(); ++x) {
+    for (int x = from(box.min().x(), patch.x0); x <= box.max().x(); x += stride) {
       const Eigen::Vector3f b = inverse * Eigen::Vector3f(rays.at(x, y, 0), rays.at(x, y, 1), 1);
       if (b.minCoeff() < 0) continue;
       const float depth = 1 / b.sum();
@@ -92,7 +98,7 @@ ImageF rays_of(const Camera& camera) {
 }
 
 DepthPatch render_depth(const ObjectModel& model, const Lens& lens, const ImageF& rays, const Pose& pose,
-                        double slack) {
+                        double slack, int stride) {
   struct Part {
     std::array<Eigen::Vector3d, 3> corners;
     int face;
@@ -118,18 +124,18 @@ DepthPatch render_depth(const ObjectModel& model, const Lens& lens, const ImageF
   patch.y0 = whole.min().y();
   patch.depth = ImageF(whole.sizes().x() + 1, whole.sizes().y() + 1, 1, kInf);
   patch.face = Raster<int>(patch.depth.width, patch.depth.height, 1, -1);
-  for (const Part& part : parts) draw_depth(part.corners, part.face, part.box, rays, patch);
+  for (const Part& part : parts) draw_depth(part.corners, part.face, part.box, rays, stride, patch);
   return patch;
 }
 
 WarpedView warp_view(const TexturedView& view, const ObjectModel& model, const Lens& lens, const ImageF& rays,
-                     const Pose& to, double slack) {
+                     const Pose& to, double slack, int stride) {
   WarpedView out;
-  out.depth = render_depth(model, lens, rays, to, slack);
+  out.depth = render_depth(model, lens, rays, to, slack, stride);
   const int width = out.depth.depth.width, height = out.depth.depth.height;
   out.picture = Grey(width, height, 1);
   out.seen = Grey(width, height, 1);
-  const Pose object_from_to = to.inverse();
+  const Pose there_from_to = view.cam_from_object * to.inverse();
   const Eigen::Vector3d eye = to.centre(), taught_eye = view.cam_from_object.centre();
   // Faces that both views see from the same side.
   std::vector<bool> shared(model.face_normals.size());
@@ -139,21 +145,22 @@ WarpedView warp_view(const TexturedView& view, const ObjectModel& model, const L
     shared[f] =
         std::abs(n.dot(ray)) > kLeastSlant * ray.norm() && n.dot(ray) * n.dot(eye - model.face_points[f]) > 0;
   }
-  for (int y = 0; y < height; ++y)
-    for (int x = 0; x < width; ++x) {
+  parallel_for((height + stride - 1) / stride, [&](int row) {
+    const int y = row * stride;
+    for (int x = 0; x < width; x += stride) {
       const float z = out.depth.depth.at(x, y);
       if (!std::isfinite(z) || !shared[out.depth.face.at(x, y)]) continue;
       const float* ray = &rays.at(x + out.depth.x0, y + out.depth.y0);
-      const Eigen::Vector3d there =
-          view.cam_from_object * (object_from_to * (double(z) * Eigen::Vector3d(ray[0], ray[1], 1)));
+      const Eigen::Vector3d there = there_from_to * (double(z) * Eigen::Vector3d(ray[0], ray[1], 1));
       Eigen::Vector2d q;
       if (!lens.project(there, q) || !lens.inside(q, 1)) continue;
       // A surface that lies nearer to the taught view hides this point.
       if (!(there.z() < double(depth_around(view.depth, q)) + 5 * slack)) continue;
-      out.picture.at(x, y) = static_cast<std::uint8_t>(
-          std::lround(bilinear(view.picture, static_cast<float>(q.x()), static_cast<float>(q.y()))));
+      const float value = bilinear(view.picture, static_cast<float>(q.x()), static_cast<float>(q.y()));
+      out.picture.at(x, y) = static_cast<std::uint8_t>(value + 0.5F);
       out.seen.at(x, y) = 255;
     }
+  });
   return out;
 }
 
@@ -170,20 +177,23 @@ std::vector<PointMatch> follow_texture(const WarpedView& warped, const Grey& fra
   cv::goodFeaturesToTrack(mat_of(warped.picture), corners, most_points, 0.02, 5, inner, 5);
   if (corners.empty()) return {};
   // The warped view put into the frame: around the object both pictures are then the same, and no step.
-  cv::Mat put = mat_of(frame).clone();
   const cv::Rect box(warped.depth.x0, warped.depth.y0, width, height);
-  mat_of(warped.picture).copyTo(put(box), mat_of(warped.seen));
   const cv::Rect wide = (box + cv::Size(2 * border, 2 * border) - cv::Point(border, border)) &
                         cv::Rect(0, 0, frame.width, frame.height);
-  const cv::Mat from = put(wide).clone(), to = mat_of(frame)(wide).clone();
+  const cv::Mat to = mat_of(frame)(wide).clone(), from = to.clone();
+  mat_of(warped.picture).copyTo(from(box - wide.tl()), mat_of(warped.seen));
   const cv::Point2f shift(static_cast<float>(box.x - wide.x), static_cast<float>(box.y - wide.y));
   for (cv::Point2f& c : corners) c += shift;
   std::vector<cv::Point2f> there, back = corners;
   std::vector<std::uint8_t> found, found_back;
   const cv::TermCriteria until(cv::TermCriteria::COUNT + cv::TermCriteria::EPS, 20, 0.01);
   const cv::Size size(window, window);
-  cv::calcOpticalFlowPyrLK(from, to, corners, there, found, cv::noArray(), size, 3, until);
-  cv::calcOpticalFlowPyrLK(to, from, there, back, found_back, cv::noArray(), size, 3, until);
+  std::vector<cv::Mat> from_levels, to_levels;  // both directions use both
+  const int levels = cv::buildOpticalFlowPyramid(from, from_levels, size, 3);
+  cv::buildOpticalFlowPyramid(to, to_levels, size, 3);
+  cv::calcOpticalFlowPyrLK(from_levels, to_levels, corners, there, found, cv::noArray(), size, levels, until);
+  cv::calcOpticalFlowPyrLK(to_levels, from_levels, there, back, found_back, cv::noArray(), size, levels,
+                           until);
   std::vector<PointMatch> matches;
   const Pose object_from_cam = cam_from_object.inverse();
   for (std::size_t i = 0; i < corners.size(); ++i) {
@@ -211,6 +221,19 @@ std::vector<PointMatch> follow_texture(const WarpedView& warped, const Grey& fra
   return matches;
 }
 
+double noise_of(const Grey& picture) {
+  std::vector<int> sizes;
+  for (int y = 1; y + 1 < picture.height; y += 2)
+    for (int x = 1; x + 1 < picture.width; x += 3) {
+      const std::uint8_t *a = picture.row(y - 1) + x, *b = picture.row(y) + x, *c = picture.row(y + 1) + x;
+      sizes.push_back(std::abs(a[-1] + a[1] + c[-1] + c[1] + 4 * b[0] - 2 * (a[0] + c[0] + b[-1] + b[1])));
+    }
+  if (sizes.empty()) return 0;
+  const auto middle = sizes.begin() + static_cast<std::ptrdiff_t>(sizes.size() / 2);
+  std::nth_element(sizes.begin(), middle, sizes.end());
+  return 1.4826 * *middle / 6;  // the mask's squares sum to 36
+}
+
 double correlation(const WarpedView& warped, const Grey& frame) {
   double n = 0, a = 0, b = 0, aa = 0, bb = 0, ab = 0;
   for (int y = 0; y < warped.seen.height; ++y)
@@ -219,9 +242,14 @@ double correlation(const WarpedView& warped, const Grey& frame) {
       const double u = warped.picture.at(x, y), v = frame.at(x + warped.depth.x0, y + warped.depth.y0);
       n += 1, a += u, b += v, aa += u * u, bb += v * v, ab += u * v;
     }
-  const double va = aa - a * a / n, vb = bb - b * b / n;
-  if (n < 100 || !(va > n) || !(vb > n)) return std::numeric_limits<double>::quiet_NaN();
-  return (ab - a * b / n) / std::sqrt(va * vb);
+  constexpr double nan = std::numeric_limits<double>::quiet_NaN();
+  if (n < 100) return nan;
+  const double noise = noise_of(frame), noise_var = std::max(0.5, noise * noise);
+  const double va = aa / n - a * a / (n * n), vb = bb / n - b * b / (n * n), cov = ab / n - a * b / (n * n);
+  if (!(va > 4 * noise_var)) return nan;
+  // The frame's own contrast may be less: then it does not look like the view.
+  const double signal = (va - noise_var) * std::max(noise_var, vb - noise_var);
+  return std::clamp(cov / std::sqrt(signal), -1.0, 1.0);
 }
 
 }  // namespace stuv::tracking

@@ -19,9 +19,10 @@ struct DepthPatch {
 };
 
 /// Every triangle is intersected with the pixels' rays, so the lens does not matter. Triangles that reach
-/// nearer than `slack` to the camera are left out.
+/// nearer than `slack` to the camera are left out. With a stride only every so many rows and columns are
+/// made.
 DepthPatch render_depth(const ObjectModel& model, const Lens& lens, const ImageF& rays,
-                        const Pose& cam_from_object, double slack);
+                        const Pose& cam_from_object, double slack, int stride = 1);
 
 /// A picture of the object taken at a known pose: what the object looks like.
 struct TexturedView {
@@ -37,7 +38,7 @@ struct WarpedView {
   Grey picture, seen;
 };
 WarpedView warp_view(const TexturedView& view, const ObjectModel& model, const Lens& lens, const ImageF& rays,
-                     const Pose& to_cam_from_object, double slack);
+                     const Pose& to_cam_from_object, double slack, int stride = 1);
 
 /// Where points of the object's surface lie in the frame: corners of the warped view, followed into the frame
 /// by pyramidal Lucas-Kanade and back; a point that does not come back within 0.5 px is dropped. As the view
@@ -45,8 +46,13 @@ WarpedView warp_view(const TexturedView& view, const ObjectModel& model, const L
 std::vector<PointMatch> follow_texture(const WarpedView& warped, const Grey& frame, const ImageF& rays,
                                        const Pose& cam_from_object, int most_points);
 
-/// Zero-mean normalised correlation of the warped view with the frame over the seen pixels; NaN with fewer
-/// than 100 of them or without contrast.
+/// Zero-mean normalised correlation of the warped view with the frame over the seen pixels, freed of what
+/// their noise takes from it: contrast is what the variance is above the pictures' noise. NaN with fewer than
+/// 100 pixels, or if the warped view has no more contrast than twice the noise: a plain side looks like any.
 double correlation(const WarpedView& warped, const Grey& frame);
+
+/// Standard deviation of a picture's noise [grey levels], from the median of its second differences
+/// (Immerkaer, CVIU 64(2), 1996, with the median in place of the mean: texture is no noise).
+double noise_of(const Grey& picture);
 
 }  // namespace stuv::tracking

@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <tbb/parallel_invoke.h>
 #include <tbb/task_arena.h>
 #include <algorithm>
 #include <chrono>
@@ -13,6 +14,7 @@
 #include <set>
 
 #include "calib/tracking/texture.h"
+#include "calib/tracking/view_search.h"
 #include "core/error.h"
 #include "core/parallel.h"
 
@@ -31,6 +33,10 @@ constexpr double kPointWeight = 10;
 constexpr double kModelError_px = 0.6;
 /// Texture: corners looked for, and how many must be found to trust their pose.
 constexpr int kMostCorners = 60, kLeastCorners = 6;
+/// Places that look like a taught view, where keypoints do not say where the object is: how many are tried,
+/// and how much more likely a better correlation makes one.
+constexpr int kViewPlaces = 8;
+constexpr double kViewLikelihood = 20;
 /// Keypoint poses drawn for each particle that starts from one: minimal sets often hold a wrong match.
 constexpr int kHypothesesPerParticle = 6;
 /// A frame's keypoints are drawn from again where the pose that comes out is no good.
@@ -39,6 +45,9 @@ constexpr int kStarts = 3;
 constexpr double kMostJump = 5;
 /// Cosine between viewing directions up to which a taught view must look like the frame (25 degrees).
 constexpr double kComparable = 0.906;
+/// A start is believed where the taught view's corners are found and the correlation is this, or, of objects
+/// without corners, where it is higher and this part of the edge samples matches.
+constexpr double kAlike = 0.45, kVeryAlike = 0.7, kSurePart = 0.7;
 /// Frames after a loss during which the old states are kept among the particles.
 constexpr int kKeptFrames = 15;
 
@@ -163,6 +172,7 @@ struct Tracker::State {
     wanted.count = kHypothesesPerParticle * count;
     const std::vector<Hypothesis> drawn = draw_hypotheses(matches, lens, random(), wanted);
     if (drawn.empty()) return false;
+    follow_keypoints(drawn);
     std::vector<Particle> candidates;
     for (const Hypothesis& h : drawn) {
       Particle p;
@@ -173,6 +183,51 @@ struct Tracker::State {
     out = resample(candidates, normalised_weights(candidates), count, 0.5);
     // Equal copies would stay equal.
     for (Particle& p : out) p.pose = p.pose * exp(noise_at(p.pose, 0.5 * options.noise_px));
+    return true;
+  }
+
+  /// The matches that fit the best of the hypotheses are points that were found in the picture.
+  void follow_keypoints(const std::vector<Hypothesis>& drawn) {
+    const Hypothesis& best = *std::max_element(
+        drawn.begin(), drawn.end(), [](const auto& a, const auto& b) { return a.log_weight < b.log_weight; });
+    std::vector<PointMatch> points;
+    for (const KeypointMatch& m : matches) {
+      Eigen::Vector2d q;
+      if (lens.project(best.cam_from_object * m.point.x, q) &&
+          (q - m.point.q).norm() < HypothesisOptions{}.inlier_px)
+        points.push_back(m.point);
+    }
+    if (static_cast<int>(points.size()) >= kLeastCorners) texture_points = points;
+  }
+
+  /// Particles from places that look like a taught view, for objects without enough keypoints: each place is
+  /// first improved by following its texture, and counts by how it looks then.
+  bool particles_from_views(const Grey& frame, int count, std::vector<Particle>& out) {
+    std::vector<ViewMatch> places = search_views(views, frame, rays, kViewPlaces);
+    if (places.empty()) return false;
+    std::vector<std::vector<PointMatch>> followed(places.size());
+    parallel_for(static_cast<int>(places.size()), [&](int i) {
+      ViewMatch& m = places[i];
+      if (const auto better = texture_pose(frame, m.cam_from_object, followed[i])) {
+        const double correlation = correlation_at(frame, *better);
+        if (correlation > m.correlation) return void(m = {*better, correlation});
+      }
+      followed[i].clear();
+    });
+    std::vector<Particle> candidates;
+    std::size_t best = 0;
+    for (std::size_t i = 0; i < places.size(); ++i) {
+      Particle p;
+      p.pose = places[i].cam_from_object;
+      p.log_weight = kViewLikelihood * places[i].correlation;
+      candidates.push_back(p);
+      if (places[i].correlation > places[best].correlation) best = i;
+    }
+    if (!followed[best].empty()) texture_points = followed[best];
+    out = resample(candidates, normalised_weights(candidates), count, 0.5);
+    // A place that was not improved is known to a pixel of a small picture, its turn and size as coarsely.
+    const double noise_px = (followed[best].empty() ? 2 : 0.5) * options.noise_px;
+    for (Particle& p : out) p.pose = p.pose * exp(noise_at(p.pose, noise_px));
     return true;
   }
 
@@ -213,32 +268,22 @@ struct Tracker::State {
   void weigh_particles(const GradientPicture& gradient) {
     std::vector<Measured> measured(particles.size());
     const int count = static_cast<int>(particles.size());
-    parallel([&] {
-      parallel_for(count,
-                   [&](int i) { measure(gradient, particles[i].pose, options.search_px, measured[i]); });
-    });
+    parallel_for(count, [&](int i) { measure(gradient, particles[i].pose, options.search_px, measured[i]); });
     double best = -std::numeric_limits<double>::infinity();
     for (const Measured& m : measured) best = std::max(best, m.log_weight);
-    parallel([&] {
-      parallel_for(count, [&](int i) {
-        Measured& m = measured[i];
-        m.refined = particles[i].pose;
-        if (options.refine_iterations <= 0) return;
-        if (m.log_weight < best + kNegligibleLog)
-          m.log_weight = -std::numeric_limits<double>::infinity();
-        else
-          refine_one(gradient, particles[i].pose, m);
-      });
+    parallel_for(count, [&](int i) {
+      Measured& m = measured[i];
+      m.refined = particles[i].pose;
+      if (options.refine_iterations <= 0) return;
+      if (m.log_weight < best + kNegligibleLog)
+        m.log_weight = -std::numeric_limits<double>::infinity();
+      else
+        refine_one(gradient, particles[i].pose, m);
     });
     for (int i = 0; i < count; ++i) {
       particles[i].pose = measured[i].refined;
       particles[i].log_weight = measured[i].log_weight;
     }
-  }
-
-  template <class F>
-  void parallel(const F& f) {
-    arena.execute(f);
   }
 
   /// The mean of the particles around the most likely one (a mean over several modes lies in none).
@@ -304,14 +349,19 @@ struct Tracker::State {
         view != nullptr && pose.t.z() > 1 &&
         view->cam_from_object.centre().normalized().dot(pose.centre().normalized()) > kComparable;
     if (!comparable) return std::numeric_limits<double>::quiet_NaN();
-    return correlation(warp_view(*view, model, lens, rays, pose, kSlack), frame);
+    // Every second row and column of a large object say as much.
+    const int stride = lens.focal_px() > 60 * pose.t.z() ? 2 : 1;
+    return correlation(warp_view(*view, model, lens, rays, pose, kSlack, stride), frame);
   }
 
-  /// A pose from texture alone, from where the motion so far leads.
-  std::optional<Pose> texture_pose(const Grey& frame, const Pose& predicted) {
-    const std::vector<PointMatch> points = texture_matches(frame, predicted);
-    if (static_cast<int>(points.size()) < kLeastCorners) return {};
-    texture_points = points;
+  /// A pose from texture alone, from a pose near it, and the points followed, none if they are too few.
+  std::optional<Pose> texture_pose(const Grey& frame, const Pose& predicted,
+                                   std::vector<PointMatch>& points) const {
+    points = texture_matches(frame, predicted);
+    if (static_cast<int>(points.size()) < kLeastCorners) {
+      points.clear();
+      return {};
+    }
     RefineOptions how;
     how.weights = RefineOptions::Weights::tukey;
     how.c_px = 2;
@@ -365,8 +415,8 @@ struct Tracker::State {
     const bool must_compare = f.initialised && !views.empty();
     if (f.correlation < options.lost_correlation || (must_compare && std::isnan(f.correlation))) return true;
     // An object that looks as taught may have edges that are faint or hidden.
-    const bool looks_right =
-        f.correlation > 1.5 * options.lost_correlation && f.texture_points >= kLeastCorners;
+    const bool looks_right = (f.correlation > kAlike && f.texture_points >= kLeastCorners) ||
+                             (f.correlation > kVeryAlike && f.edges.matched >= kSurePart * f.edges.visible);
     if (must_compare && !looks_right) return true;
     const double least_part = looks_right ? 0.5 * options.lost_part : options.lost_part;
     return f.edges.matched < least_part * f.edges.visible;
@@ -374,21 +424,26 @@ struct Tracker::State {
 
   // --- one frame -------------------------------------------------------------------------------------------
 
-  /// Fills `particles`; false if there is nothing to start from.
-  bool predict(const Grey& frame, TrackedFrame& out) {
+  /// Texture, from where the motion so far leads.
+  void follow_motion(const Grey& frame) {
     texture_points.clear();
+    texture_found.reset();
+    if (particles.empty() || lost || !options.filter || !options.texture || views.empty()) return;
+    texture_found = texture_pose(frame, estimate * exp(drift), texture_points);
+  }
+
+  /// Fills `particles`; false if there is nothing to start from.
+  bool predict(const Grey& frame, bool by_views, TrackedFrame& out) {
     if (!particles.empty() && !lost) {
       move_particles();
-      if (options.texture && !views.empty()) {
-        const StageClock clock(out.seconds.texture);
-        const Pose predicted = estimate * exp(drift);
-        if (const auto pose = texture_pose(frame, predicted)) propose(*pose);
-      }
+      if (texture_found) propose(*texture_found);
       return true;
     }
+    texture_points.clear();
     const StageClock clock(out.seconds.keypoints);
     std::vector<Particle> fresh;
-    const bool found = particles_from_keypoints(frame, options.particles, fresh);
+    const bool found = (!by_views && particles_from_keypoints(frame, options.particles, fresh)) ||
+                       particles_from_views(frame, options.particles, fresh);
     if (!particles.empty() && frames_lost < kKeptFrames) {
       move_particles();
       if (!found) return true;
@@ -421,8 +476,20 @@ struct Tracker::State {
       particles[i].pose = i == 0 ? pose : pose * exp(noise_at(pose, 1));
   }
 
+  /// Edges alone do not tell an object from clutter where nothing is known of its place: at a start,
+  /// particles weigh by how the taught views look from there, too.
+  void weigh_by_looks(const Grey& frame) {
+    if (views.empty()) return;
+    parallel_for(static_cast<int>(particles.size()), [&](int i) {
+      if (!std::isfinite(particles[i].log_weight)) return;
+      const double correlation = correlation_at(frame, particles[i].pose);
+      particles[i].log_weight += kViewLikelihood * (std::isnan(correlation) ? 0.0 : correlation);
+    });
+  }
+
   void run_filter(const GradientPicture& gradient, const Grey& frame, TrackedFrame& out) {
     weigh_particles(gradient);
+    if (out.initialised) weigh_by_looks(frame);
     std::vector<double> weights = normalised_weights(particles);
     out.n_eff = effective_number(weights);
     std::vector<Particle> fresh;
@@ -433,6 +500,7 @@ struct Tracker::State {
         fresh.push_back(best);
         restart(std::move(fresh));
         weigh_particles(gradient);
+        weigh_by_looks(frame);
         weights = normalised_weights(particles);
         out.initialised = true;
       }
@@ -452,12 +520,20 @@ struct Tracker::State {
     ++frame_number;
     random.seed(options.seed * 7919 + frame_number);
     GradientPicture gradient;
-    {
-      const StageClock clock(out.seconds.gradient);
-      gradient = gradient_of(frame, 1.0, options.contrast);
-    }
+    // The two need nothing of each other.
+    tbb::parallel_invoke(
+        [&] {
+          const StageClock clock(out.seconds.gradient);
+          gradient = gradient_of(frame, 1.0, options.contrast);
+        },
+        [&] {
+          const StageClock clock(out.seconds.texture);
+          follow_motion(frame);
+        });
     for (int start = 0; start < kStarts; ++start) {
-      if (options.filter ? !predict(frame, out) : !predict_alone(gradient, frame, out)) return out;
+      // The last try is by looks, should keypoints mislead.
+      if (options.filter ? !predict(frame, start + 1 == kStarts, out) : !predict_alone(gradient, frame, out))
+        return out;
       estimate_pose(gradient, frame, out);
       if (!out.lost || !out.initialised) break;
     }
@@ -484,12 +560,12 @@ struct Tracker::State {
     second.seconds = first.seconds;
     std::vector<Particle> fresh;
     bool found = false;
+    texture_points.clear();
     {
       const StageClock clock(second.seconds.keypoints);
       found = particles_from_keypoints(frame, options.particles, fresh);
     }
     if (found) {
-      texture_points.clear();
       restart(std::move(fresh));
       second.initialised = true;
       estimate_pose(gradient, frame, second);
@@ -556,8 +632,9 @@ struct Tracker::State {
   std::mt19937_64 random;
   std::vector<Particle> particles;
   std::vector<Pose> before;
-  std::vector<PointMatch> matches;         ///< keypoints of frame number `matches_frame`
+  std::vector<KeypointMatch> matches;      ///< keypoints of frame number `matches_frame`
   std::vector<PointMatch> texture_points;  ///< of this frame, where the motion so far led
+  std::optional<Pose> texture_found;       ///< and the pose that they tell
   std::uint64_t matches_frame = 0;
   Pose estimate, estimate_now;
   Twist drift = Twist::Zero();
@@ -588,7 +665,14 @@ TrackedFrame Tracker::track(const Grey& frame) {
                 fmt::format("is a camera of {}x{}, the frame is {}x{}", state_->lens.width(),
                             state_->lens.height(), frame.width, frame.height),
                 "give the camera that took the frames, at their size");
-  return state_->track(frame);
+  TrackedFrame out;
+  double seconds = 0;
+  {
+    const StageClock clock(seconds);
+    state_->arena.execute([&] { out = state_->track(frame); });
+  }
+  out.seconds.total = seconds;
+  return out;
 }
 
 }  // namespace stuv::tracking

@@ -35,10 +35,9 @@ struct TrackerOptions {
   double lost_correlation = 0.3;  ///< with the keyframe's texture: below it the object is lost
 };
 
-/// Time spent in each stage of one frame [s].
+/// Time spent in each stage of one frame, and on all of it [s]. Gradient and texture run side by side.
 struct StageSeconds {
-  double gradient = 0, keypoints = 0, texture = 0, filter = 0, estimate = 0;
-  double total() const { return gradient + keypoints + texture + filter + estimate; }
+  double gradient = 0, keypoints = 0, texture = 0, filter = 0, estimate = 0, total = 0;
 };
 
 struct TrackedFrame {

@@ -7,6 +7,7 @@
 #include <limits>
 #include <optional>
 
+#include "calib/two_view/match_noise.h"
 #include "calib/two_view/robust.h"
 #include "calib/two_view/rotation.h"
 
@@ -18,6 +19,10 @@ using Eigen::Matrix3d;
 constexpr int kSearched = 2000;       ///< matches that the search looks at, of more an even choice
 constexpr int kGoldStandard = 20000;  ///< matches from which Sampson's estimate, then as good, is final
 constexpr double kCutSigmas = 3;
+/// A match that several detectors or scales found is right more often: it counts as often as it is given, up
+/// to this.
+constexpr double kMostCounted = 4;
+constexpr int kRivalRuns = 6, kRivalSamples = 300;
 /// Noise below this part of the radius (0.01 px in a picture of 800) is taken for this much: whether matches
 /// determine F must not hang on their being exact.
 constexpr double kLeastNoise = 3e-5;
@@ -29,22 +34,29 @@ constexpr double kParallax = 0.1;
 struct Work {
   std::vector<int> index;  ///< into the matches given
   Matches all, searched;
-  double radius_px = 0;  ///< rms distance from the mean, both pictures
+  std::vector<double> counts, searched_counts;  ///< how often each was given, kMostCounted at most
+  double radius_px = 0;                         ///< rms distance from the mean, both pictures
   double threshold_px = 0;
   /// Of picture B: the part of it within a distance of 1 px of a line across it, and of a point.
   double line_chance = 0, point_chance = 0;
+
+  double least_noise() const { return kLeastNoise * radius_px; }
 };
 
 Work prepare(const Matches& matches, const TwoViewOptions& options) {
   Work w;
-  w.index = distinct_matches(matches);
+  w.index = distinct_matches(matches, &w.counts);
+  for (double& count : w.counts) count = std::min(count, kMostCounted);
   for (const int i : w.index) w.all.push_back(matches[i]);
   if (w.all.empty()) return w;
   const auto [Ta, Tb] = normalisation(w.all);
   w.radius_px = std::sqrt(2 / (Ta.scale * Tb.scale));
   w.threshold_px = options.threshold_px > 0 ? options.threshold_px : 0.01 * w.radius_px;
   const std::size_t n = std::min<std::size_t>(kSearched, w.all.size());
-  for (std::size_t i = 0; i < n; ++i) w.searched.push_back(w.all[i * w.all.size() / n]);
+  for (std::size_t i = 0; i < n; ++i) {
+    w.searched.push_back(w.all[i * w.all.size() / n]);
+    w.searched_counts.push_back(w.counts[i * w.all.size() / n]);
+  }
   Eigen::AlignedBox2d box;
   for (const Match& m : w.all) box.extend(m.b);
   const double area = box.sizes().prod();
@@ -78,9 +90,8 @@ double log10_false_alarms(int n, int k, int sample, int models, double p) {
 }
 
 struct Search {
-  Matrix3d F = Matrix3d::Zero(), H = Matrix3d::Zero();
-  double support = 0;
-  bool found = false;
+  std::vector<Matrix3d> candidates;  ///< F's of rival agreements
+  Matrix3d H = Matrix3d::Zero();
   int samples = 0;
 };
 
@@ -93,25 +104,30 @@ std::vector<int> off_plane(const Matrix3d& H, const Matches& matches, double thr
   return off;
 }
 
-/// RANSAC, then the dominant plane and what parallax adds to it: whichever F has the most support.
+/// RANSAC, several times: few matches have rival agreements, and which one a run ends in hangs on its
+/// samples. Then the dominant plane and what parallax adds to it.
 Search search(const Work& w, const TwoViewOptions& options) {
   RansacOptions ransac;
   ransac.threshold_px = w.threshold_px;
   ransac.confidence = options.confidence;
   ransac.most_samples = options.most_samples;
+  ransac.least_samples = std::min(options.least_samples, options.most_samples);
   ransac.seed = options.seed;
   Search s;
   const auto consider = [&](const RansacResult<Matrix3d>& r) {
     s.samples += r.samples;
-    if (!r.found || !(r.support > s.support)) return;
-    s.F = r.model;
-    s.support = r.support;
-    s.found = true;
+    if (r.found) s.candidates.push_back(r.model);
   };
-  ransac.least_samples = std::min(options.least_samples, options.most_samples);
   consider(ransac_fundamental(w.searched, ransac));
+  RansacOptions short_run = ransac;
+  short_run.most_samples = std::min(kRivalSamples, options.most_samples);
+  short_run.least_samples = short_run.most_samples;
+  for (int run = 1; run < kRivalRuns; ++run) {
+    short_run.threshold_px = w.threshold_px * (run % 3 == 0 ? 1 : run % 3 == 1 ? 0.5 : 0.25);
+    short_run.seed = options.seed + static_cast<std::uint64_t>(run) * 0x9e3779b97f4a7c15;
+    consider(ransac_fundamental(w.searched, short_run));
+  }
   ransac.least_samples = 0;
-  if (s.found) consider(polish_fundamental(w.searched, s.F, w.threshold_px));
   const auto plane = ransac_homography(w.searched, ransac);
   if (!plane.found) return s;
   s.H = plane.model;
@@ -150,26 +166,67 @@ Matches chosen(const Matches& matches, const std::vector<int>& which) {
   return out;
 }
 
-/// Inliers and F from each other until stable; then the Gold Standard.
-std::optional<FundamentalMl> maximise(const Work& w, Matrix3d F, bool gold, Agreement& a) {
-  std::optional<FundamentalMl> ml;
+/// F and inliers from each other until stable, all of them alike: where the fit of the noise begins.
+std::optional<Matrix3d> settle(const Work& w, Matrix3d F, Agreement& a) {
   std::vector<int> before;
   for (int round = 0; round < 10; ++round) {
-    a = agreement(distances(F, w.all), w.threshold_px, kCutSigmas * kLeastNoise * w.radius_px);
+    a = agreement(distances(F, w.all), w.threshold_px, kCutSigmas * w.least_noise());
     if (a.inliers.size() < 8) return std::nullopt;
     if (a.inliers == before) break;
     before = a.inliers;
-    ml = sampson_estimate(chosen(w.all, a.inliers), F);
-    if (!ml) return std::nullopt;
-    F = ml->F;
+    const auto next = sampson_estimate(chosen(w.all, a.inliers), F);
+    if (!next) return std::nullopt;
+    F = next->F;
   }
-  a.inliers = before;
+  return F;
+}
+
+/// Of the candidates, settled, that of the greatest likelihood.
+std::optional<NoiseFit> likeliest(const Work& w, const std::vector<Matrix3d>& candidates) {
+  std::optional<NoiseFit> best;
+  std::vector<std::vector<int>> seen;
+  for (const Matrix3d& candidate : candidates) {
+    Agreement a;
+    const auto settled = settle(w, candidate, a);
+    if (!settled || std::find(seen.begin(), seen.end(), a.inliers) != seen.end()) continue;
+    seen.push_back(a.inliers);
+    MatchNoise noise;
+    noise.scale_px = std::max(a.noise, w.least_noise());
+    noise.anywhere_per_px = w.line_chance / std::sqrt(2);
+    NoiseFit fit =
+        fit_noise_and_shape(w.searched, w.searched_counts, *settled, noise, w.least_noise(), w.threshold_px);
+    if (!best || fit.log_likelihood > best->log_likelihood) best = std::move(fit);
+  }
+  return best;
+}
+
+/// The Gold Standard on what is likely right, with the weights of the fit.
+std::optional<FundamentalMl> maximise(const Work& w, const std::vector<Matrix3d>& candidates, bool gold,
+                                      Agreement& a) {
+  auto fit = likeliest(w, candidates);
+  if (!fit) return std::nullopt;
+  if (w.searched.size() < w.all.size())
+    fit = fit_noise(w.all, w.counts, fit->F, fit->noise, w.least_noise(), w.threshold_px, 5);
+  a = {};
+  a.noise = fit->noise.scale_px;
+  a.cut = kCutSigmas * w.least_noise();
+  std::vector<double> weights;
+  for (int i = 0; i < static_cast<int>(w.all.size()); ++i) {
+    if (!(fit->right[i] > 0.5)) continue;
+    a.inliers.push_back(i);
+    a.cut = std::max(a.cut, std::abs(sampson_distance(fit->F, w.all[i])));
+    weights.push_back(fit->weight[i]);
+  }
+  if (a.inliers.size() < 8) return std::nullopt;
+  const Matches inliers = chosen(w.all, a.inliers);
+  auto ml = sampson_estimate(inliers, fit->F, weights);
   // Where F is free, or the matches exact, there is nothing to gain.
   const bool worth = ml && ml->condition < 1e6 && ml->noise_px > 1e-9 * w.radius_px;
-  if (gold && worth && before.size() <= kGoldStandard) {
-    const auto refined = gold_standard(chosen(w.all, before), F);
+  if (gold && worth && inliers.size() <= kGoldStandard) {
+    const auto refined = gold_standard(inliers, fit->F, weights);
     if (refined) ml = refined;
   }
+  if (ml) ml->noise_px = fit->sigma_px;
   return ml;
 }
 
@@ -293,13 +350,13 @@ TwoViewEstimate estimate_two_view(const Matches& matches, const TwoViewOptions& 
   const Search s = search(w, options);
   e.samples = s.samples;
   Agreement a;
-  auto ml = s.found ? maximise(w, s.F, options.gold_standard, a) : std::nullopt;
+  auto ml = maximise(w, s.candidates, options.gold_standard, a);
   for (int doubled = 0; doubled < 2 && ml && options.threshold_px == 0 && a.cut >= w.threshold_px;
        ++doubled) {
     Work wider = w;
     wider.threshold_px *= 2;
     Agreement more;
-    const auto next = maximise(wider, ml->F, options.gold_standard, more);
+    const auto next = maximise(wider, {ml->F}, options.gold_standard, more);
     if (!next || !(false_alarms(wider, more) < false_alarms(w, a))) break;
     w = wider;
     ml = next;

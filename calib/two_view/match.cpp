@@ -65,7 +65,7 @@ void write_matches(const std::filesystem::path& file, const Matches& matches) {
   write_text(file, text);
 }
 
-std::vector<int> distinct_matches(const Matches& matches) {
+std::vector<int> distinct_matches(const Matches& matches, std::vector<double>* counts) {
   std::vector<int> index;
   for (std::size_t i = 0; i < matches.size(); ++i)
     if (matches[i].a.allFinite() && matches[i].b.allFinite()) index.push_back(static_cast<int>(i));
@@ -74,8 +74,14 @@ std::vector<int> distinct_matches(const Matches& matches) {
   };
   std::sort(index.begin(), index.end(), less);
   const auto same = [&](int i, int j) { return key(matches[i]) == key(matches[j]); };
-  index.erase(std::unique(index.begin(), index.end(), same), index.end());
-  return index;
+  std::vector<int> distinct;
+  std::vector<double> count;
+  for (const int i : index) {
+    if (distinct.empty() || !same(distinct.back(), i)) distinct.push_back(i), count.push_back(0);
+    ++count.back();
+  }
+  if (counts != nullptr) *counts = std::move(count);
+  return distinct;
 }
 
 }  // namespace stuv

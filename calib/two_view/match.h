@@ -18,7 +18,7 @@ Matches read_matches(const std::filesystem::path& file);
 void write_matches(const std::filesystem::path& file, const Matches& matches);
 
 /// Indices of the matches that are finite, each place once, sorted by their coordinates: what the estimators
-/// work on, so that neither order nor repetition changes a result.
-std::vector<int> distinct_matches(const Matches& matches);
+/// work on, so that order changes no result. `counts`: how often each is there.
+std::vector<int> distinct_matches(const Matches& matches, std::vector<double>* counts = nullptr);
 
 }  // namespace stuv

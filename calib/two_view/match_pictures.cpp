@@ -12,16 +12,9 @@ namespace stuv {
 namespace {
 
 cv::Mat grey8(const Image& picture) {
-  const ImageF pixels = to_float(picture);
-  cv::Mat grey(picture.height, picture.width, CV_32F);
-  const int c = pixels.channels;
-  for (int y = 0; y < picture.height; ++y)
-    for (int x = 0; x < picture.width; ++x) {
-      const float* p = pixels.row(y) + static_cast<std::size_t>(x) * c;
-      grey.at<float>(y, x) = 255 * (c == 3 ? 0.299F * p[0] + 0.587F * p[1] + 0.114F * p[2] : p[0]);
-    }
+  ImageF pixels = grey(picture);
   cv::Mat out;
-  grey.convertTo(out, CV_8U);
+  cv::Mat(pixels.height, pixels.width, CV_32F, pixels.data.data()).convertTo(out, CV_8U, 255);
   return out;
 }
 
@@ -160,6 +153,17 @@ Eigen::Vector2d subpixel(const cv::Mat& grey, const Window& sought, int x, int y
 }
 
 }  // namespace
+
+ImageF grey(const Image& picture) {
+  ImageF pixels = to_float(picture);
+  if (pixels.channels == 1) return pixels;
+  ImageF out(picture.width, picture.height, 1);
+  for (std::size_t i = 0; i < out.data.size(); ++i) {
+    const float* p = pixels.data.data() + 3 * i;
+    out.data[i] = 0.299F * p[0] + 0.587F * p[1] + 0.114F * p[2];
+  }
+  return out;
+}
 
 Features detect_features(const Image& picture, int most) {
   std::vector<cv::KeyPoint> keypoints;

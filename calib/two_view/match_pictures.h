@@ -10,6 +10,9 @@
 
 namespace stuv {
 
+/// One channel, 0..1 for integer pixels: 0.299 R + 0.587 G + 0.114 B.
+ImageF grey(const Image& picture);
+
 /// Interest points of one picture with a descriptor each (rows of `descriptors`).
 struct Features {
   std::vector<Eigen::Vector2d> points_px;

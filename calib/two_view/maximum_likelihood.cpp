@@ -127,14 +127,15 @@ Eigen::Matrix<T, 3, 4> chart_camera(const FundamentalChart& chart, const T* p) {
 struct Reprojection {
   Match m;
   FundamentalChart chart;
+  double root = 1;  ///< of the match's weight
   template <class T>
   bool operator()(const T* p, const T* X, T* r) const {
     const Eigen::Matrix<T, 3, 4> P = chart_camera(chart, p);
-    r[0] = X[0] - m.a.x();
-    r[1] = X[1] - m.a.y();
+    r[0] = root * (X[0] - m.a.x());
+    r[1] = root * (X[1] - m.a.y());
     const Eigen::Matrix<T, 3, 1> y = P * Eigen::Matrix<T, 4, 1>(X[0], X[1], T(1), X[2]);
-    r[2] = y[0] / y[2] - m.b.x();
-    r[3] = y[1] / y[2] - m.b.y();
+    r[2] = root * (y[0] / y[2] - m.b.x());
+    r[3] = root * (y[1] / y[2] - m.b.y());
     return true;
   }
 };
@@ -270,27 +271,29 @@ Eigen::Matrix3d refine_sampson(std::span<const Match> matches, std::span<const d
   return F / F.norm();
 }
 
-std::optional<FundamentalMl> sampson_estimate(std::span<const Match> matches, const Eigen::Matrix3d& start) {
+std::optional<FundamentalMl> sampson_estimate(std::span<const Match> matches, const Eigen::Matrix3d& start,
+                                              std::span<const double> weights) {
   if (matches.size() < 7 || !start.allFinite()) return std::nullopt;
   const auto [Ta, Tb] = common_normalisation(matches);
   const Matches points = normalised(matches, Ta, Tb);
   const Eigen::Matrix3d begin =
       closest_rank2(Tb.matrix().transpose().inverse() * start * Ta.matrix().inverse());
-  const Eigen::Matrix3d F = refine_sampson(points, {}, begin, 100);
+  const Eigen::Matrix3d F = refine_sampson(points, weights, begin, 100);
   if (!F.allFinite()) return std::nullopt;
   FundamentalMl ml;
   ml.converged = true;
-  finish(points, F, weighted_cost(points, {}, F), Ta, Tb, ml);
+  finish(points, F, weighted_cost(points, weights, F), Ta, Tb, ml);
   return ml;
 }
 
-std::optional<FundamentalMl> gold_standard(std::span<const Match> matches, const Eigen::Matrix3d& start) {
+std::optional<FundamentalMl> gold_standard(std::span<const Match> matches, const Eigen::Matrix3d& start,
+                                           std::span<const double> weights) {
   if (matches.size() < 7 || !start.allFinite()) return std::nullopt;
   const auto [Ta, Tb] = common_normalisation(matches);
   const Matches points = normalised(matches, Ta, Tb);
   const Eigen::Matrix3d begin =
       closest_rank2(Tb.matrix().transpose().inverse() * start * Ta.matrix().inverse());
-  const Eigen::Matrix3d first = refine_sampson(points, {}, begin, 100);
+  const Eigen::Matrix3d first = refine_sampson(points, weights, begin, 100);
   if (!first.allFinite()) return std::nullopt;
   const FundamentalChart chart = FundamentalChart::of(first);
   FundamentalChart::Parameters p = chart.parameters(first);
@@ -302,12 +305,13 @@ std::optional<FundamentalMl> gold_standard(std::span<const Match> matches, const
   problem.AddParameterBlock(p.data(), 7);
   X.reserve(points.size());
   auto ordering = std::make_shared<ceres::ParameterBlockOrdering>();
-  for (const Match& m : points) {
-    const Match c = corrected(first, m);
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    const Match c = corrected(first, points[i]);
     X.emplace_back(c.a.x(), c.a.y(), inverse_depth(P, c));
+    const double root = weights.empty() ? 1 : std::sqrt(weights[i]);
     problem.AddResidualBlock(
-        new ceres::AutoDiffCostFunction<Reprojection, 4, 7, 3>(new Reprojection{m, chart}), nullptr, p.data(),
-        X.back().data());
+        new ceres::AutoDiffCostFunction<Reprojection, 4, 7, 3>(new Reprojection{points[i], chart, root}),
+        nullptr, p.data(), X.back().data());
     ordering->AddElementToGroup(X.back().data(), 0);
   }
   ordering->AddElementToGroup(p.data(), 1);
@@ -321,7 +325,7 @@ std::optional<FundamentalMl> gold_standard(std::span<const Match> matches, const
   ceres::Solver::Summary summary;
   ceres::Solve(options, &problem, &summary);
   const Eigen::Matrix3d F = closest_rank2(chart.matrix(p));
-  if (!summary.IsSolutionUsable() || !F.allFinite()) return sampson_estimate(matches, start);
+  if (!summary.IsSolutionUsable() || !F.allFinite()) return sampson_estimate(matches, start, weights);
   FundamentalMl ml;
   ml.converged = summary.termination_type == ceres::CONVERGENCE;
   finish(points, F, 2 * summary.final_cost, Ta, Tb, ml);

@@ -49,10 +49,13 @@ struct FundamentalMl {
 /// Gold Standard: minimises sum d(x, x^)^2 + d(x', x'^)^2 over P' and all points, P = [I | 0], x^'^T F x^ =
 /// 0, by Ceres with the points eliminated (sparse). Points are (x^, y^, 1, rho), so they may be at infinity;
 /// P' is a full 3 x 4. Starts from the Sampson estimate. Hartley and Zisserman, algorithm 11.3. Nothing below
-/// 7 matches.
-std::optional<FundamentalMl> gold_standard(std::span<const Match> matches, const Eigen::Matrix3d& start);
+/// 7 matches. `weights` of the matches' squares, above 0; empty: all 1. With others, noise_px is the caller's
+/// to set.
+std::optional<FundamentalMl> gold_standard(std::span<const Match> matches, const Eigen::Matrix3d& start,
+                                           std::span<const double> weights = {});
 /// The cheap version: refine_sampson.
-std::optional<FundamentalMl> sampson_estimate(std::span<const Match> matches, const Eigen::Matrix3d& start);
+std::optional<FundamentalMl> sampson_estimate(std::span<const Match> matches, const Eigen::Matrix3d& start,
+                                              std::span<const double> weights = {});
 
 /// Where the line F x lies, to `sigmas` standard deviations: between the branches of the conic y^T C y = 0,
 /// C = l l^T - k^2 Sigma_l (Hartley and Zisserman, 11.11; Csurka and others 1997). `covariance` of F in px.

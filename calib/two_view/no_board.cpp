@@ -6,12 +6,15 @@
 #include <array>
 #include <cmath>
 #include <limits>
+#include <map>
 #include <numeric>
 
 #include "calib/two_view/estimate.h"
 #include "calib/two_view/match_pictures.h"
+#include "calib/two_view/refine_tracks.h"
 #include "core/error.h"
 #include "core/image_io.h"
+#include "core/parallel.h"
 
 namespace stuv {
 namespace {
@@ -100,14 +103,32 @@ std::vector<std::pair<int, int>> verified(const Seen& a, const Seen& b, std::uin
   return good;
 }
 
-void add_tracks(const Recording& recording, const std::vector<Seen>& seen, const NoBoardOptions& options,
-                const Reporter& reporter, SfmProblem& out) {
+/// At most `most` of them: round by round the longest of every part of every camera's picture.
+std::vector<Track> spread(std::vector<Track> tracks, double extent_px, std::size_t most) {
+  std::stable_sort(tracks.begin(), tracks.end(),
+                   [](const Track& a, const Track& b) { return a.camera.size() > b.camera.size(); });
+  std::map<std::array<int, 3>, std::vector<std::size_t>> parts;
+  for (std::size_t t = 0; t < tracks.size(); ++t) {
+    const std::size_t middle = tracks[t].camera.size() / 2;
+    const Eigen::Vector2d at = tracks[t].at_px[middle] * (3 / extent_px);
+    parts[{tracks[t].camera[middle], int(std::floor(at.x())), int(std::floor(at.y()))}].push_back(t);
+  }
+  std::vector<Track> chosen;
+  for (std::size_t round = 0; chosen.size() < std::min(most, tracks.size()); ++round)
+    for (const auto& [key, members] : parts)
+      if (round < members.size() && chosen.size() < most) chosen.push_back(tracks[members[round]]);
+  return chosen;
+}
+
+std::vector<Track> find_set_tracks(const Recording& recording, const std::vector<Seen>& seen,
+                                   const NoBoardOptions& options, const Reporter& reporter) {
   const auto n = static_cast<int>(seen.size());
   std::vector<std::pair<int, int>> pairs;
   for (int a = 0; a < n; ++a)
     for (int b = a + 1; b < n; ++b)
-      if (std::abs(recording.cameras[a].row - recording.cameras[b].row) <= options.reach &&
-          std::abs(recording.cameras[a].col - recording.cameras[b].col) <= options.reach)
+      if (std::abs(recording.cameras[a].row - recording.cameras[b].row) +
+              std::abs(recording.cameras[a].col - recording.cameras[b].col) <=
+          options.reach)
         pairs.emplace_back(a, b);
   const std::size_t total = seen.back().first + seen.back().ideal.size();
   Joiner joiner(total);
@@ -126,11 +147,50 @@ void add_tracks(const Recording& recording, const std::vector<Seen>& seen, const
       t.camera.push_back(c);
       t.at_px.push_back(seen[c].ideal[i]);
     }
-  for (Track& t : tracks) {
+  std::erase_if(tracks, [](const Track& t) {
     // Two places in one picture: some of its matches are wrong.
     const bool twice = std::adjacent_find(t.camera.begin(), t.camera.end()) != t.camera.end();
-    if (t.camera.size() >= 2 && !twice) out.tracks.push_back(std::move(t));
+    return t.camera.size() < 2 || twice;
+  });
+  return tracks;
+}
+
+std::vector<Camera> lenses_of(const Recording& recording, const NoBoardOptions& options) {
+  std::vector<Camera> lenses;
+  for (std::size_t c = 0; c < recording.cameras.size(); ++c) {
+    const auto some = std::find_if(recording.sets.begin(), recording.sets.end(),
+                                   [&](const FrameSet& f) { return f.frames[c].status == FrameStatus::ok; });
+    if (some == recording.sets.end()) throw Error(recording.cameras[c].name, "has no picture", "record one");
+    lenses.push_back(lens_of(options, recording.cameras[c].name, read_image_info(some->frames[c].file)));
   }
+  return lenses;
+}
+
+std::vector<ImageF> grey_pictures(const FrameSet& set) {
+  std::vector<ImageF> pictures(set.frames.size());
+  parallel_for(static_cast<int>(pictures.size()), [&](int c) {
+    if (set.frames[c].status == FrameStatus::ok) pictures[c] = grey(read_image(set.frames[c].file));
+  });
+  return pictures;
+}
+
+/// The problem's points sought in all pictures, and the solution of that as its start.
+void lengthen(const Recording& recording, const std::vector<Camera>& lenses, const NoBoardOptions& options,
+              const Reporter& reporter, SfmProblem& problem, SfmSolution& solution) {
+  std::vector<Track> tracks;
+  RefineTracksOptions refine;
+  refine.most_points = options.most_points;
+  for (std::size_t s = 0; s < recording.sets.size(); ++s) {
+    reporter.at("following points", s, recording.sets.size());
+    const std::vector<ImageF> pictures = grey_pictures(recording.sets[s]);
+    const SetPictures set{static_cast<int>(s), pictures, lenses};
+    for (Track& t : refine_tracks(set, problem, solution, refine)) tracks.push_back(std::move(t));
+  }
+  reporter.at("following points", recording.sets.size(), recording.sets.size());
+  problem.tracks = std::move(tracks);
+  problem.start = solution.cam_from_ref;
+  problem.started = solution.placed;
+  solution = solve_sfm(problem, options.seed, reporter);
 }
 
 Eigen::MatrixXd scale_free(const Eigen::MatrixXd& covariance, const std::vector<Eigen::Vector3d>& centres) {
@@ -187,24 +247,27 @@ void judge(const SfmSolution& s, const CalibrationOptions& limits, Calibration& 
 }  // namespace
 
 SfmProblem find_tracks(const Recording& recording, const NoBoardOptions& options, const Reporter& reporter) {
-  SfmProblem out;
-  out.cameras = static_cast<int>(recording.cameras.size());
-  out.focal_known = !options.lenses.empty();
-  for (const FrameSet& set : recording.sets) {
-    std::vector<Camera> lenses;
-    for (std::size_t c = 0; c < recording.cameras.size(); ++c) {
-      const auto some = std::find_if(recording.sets.begin(), recording.sets.end(), [&](const FrameSet& f) {
-        return f.frames[c].status == FrameStatus::ok;
-      });
-      if (some == recording.sets.end())
-        throw Error(recording.cameras[c].name, "has no picture", "record one");
-      lenses.push_back(lens_of(options, recording.cameras[c].name, read_image_info(some->frames[c].file)));
+  constexpr std::size_t kMostFirst = 1500;  ///< tracks of a set for the first solution
+  SfmProblem problem;
+  problem.cameras = static_cast<int>(recording.cameras.size());
+  problem.focal_known = !options.lenses.empty();
+  const std::vector<Camera> lenses = lenses_of(recording, options);
+  problem.focal_px = median_focal(lenses);
+  for (std::size_t s = 0; s < recording.sets.size(); ++s) {
+    const std::vector<Seen> seen =
+        features_of(recording, recording.sets[s], lenses, problem.focal_px, options.most_features, reporter);
+    for (Track& t :
+         spread(find_set_tracks(recording, seen, options, reporter), lenses[0].width, kMostFirst)) {
+      t.set = static_cast<int>(s);
+      problem.tracks.push_back(std::move(t));
     }
-    out.focal_px = median_focal(lenses);
-    add_tracks(recording, features_of(recording, set, lenses, out.focal_px, options.most_features, reporter),
-               options, reporter, out);
   }
-  return out;
+  SfmSolution solution = solve_sfm(problem, options.seed, reporter);
+  for (int round = 0; round < 2; ++round) {
+    if (std::count(solution.placed.begin(), solution.placed.end(), true) < 2) break;
+    lengthen(recording, lenses, options, reporter, problem, solution);
+  }
+  return problem;
 }
 
 Calibration calibrate_without_board(const SfmProblem& problem, const Recording& recording,

@@ -23,8 +23,9 @@ struct NoBoardOptions {
   };
   std::optional<Distance> distance;
   double spacing_m = 0;
-  int most_features = 4000;  ///< a picture
-  int reach = 4;             ///< pairs of cameras this many rows and columns apart are matched
+  int most_features = 3000;  ///< a picture
+  int reach = 2;             ///< pairs of cameras whose rows and columns differ by so much in sum are matched
+  int most_points = 700;     ///< a set, of those that are followed through all pictures
   std::uint64_t seed = 1;
 };
 
@@ -33,6 +34,7 @@ struct NoBoardOptions {
 struct Track {
   std::vector<int> camera;
   std::vector<Eigen::Vector2d> at_px;
+  int set = 0;  ///< of the recording
 };
 
 struct SfmProblem {
@@ -40,6 +42,9 @@ struct SfmProblem {
   double focal_px = 0;
   bool focal_known = true;
   std::vector<Track> tracks;
+  /// Poses to begin with, one a camera, and which of them are known; empty: none.
+  std::vector<Pose> start;
+  std::vector<bool> started;
 };
 
 /// Cameras and points up to a similarity; camera 0 of those placed is the reference.
@@ -59,7 +64,9 @@ struct SfmSolution {
 };
 
 /// From pairs to all cameras to one bundle adjustment:
-///   1. the pair with the widest parallax among those with many tracks: F, E, pose; points by triangulation
+///   1. where no start is given, the pair with the widest parallax among those with many tracks: F, E, pose;
+///   points by
+///      triangulation
 ///   2. camera after camera by its points (solvePnPRansac), new points, a bundle adjustment every time
 ///   3. minimise sum rho(|f pi(R_i (X_j - c_i)) - x_ij|^2) by Ceres, Huber first; then outliers beyond four
 ///   deviations
@@ -70,7 +77,8 @@ SfmSolution solve_sfm(const SfmProblem& problem, std::uint64_t seed, const Repor
 
 /// Tracks through all pictures of a recording: SIFT in every picture, pairs of neighbours matched and
 /// verified by estimate_two_view (planar pairs count, by their homography), matches joined where no camera
-/// sees a track twice.
+/// sees a track twice; from these a first solution; from this every point sought in every picture
+/// (refine_tracks), and once more from the solution that those give. All sets count, as pictures of one rig.
 SfmProblem find_tracks(const Recording& recording, const NoBoardOptions& options,
                        const Reporter& reporter = {});
 

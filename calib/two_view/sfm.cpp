@@ -57,10 +57,10 @@ class Sfm {
 
   SfmSolution solve() {
     SfmSolution out;
-    if (begin()) {
+    const bool given = take_start();
+    if (given || begin()) {
       int count = 2;
-      reporter_.at("placing cameras", count, in_.cameras);
-      while (place_next()) {
+      while (!given && place_next()) {
         adjust(true, 20);
         triangulate_new();
         reporter_.at("placing cameras", ++count, in_.cameras);
@@ -70,6 +70,7 @@ class Sfm {
         for (std::size_t t = 0; t < points_.size(); ++t) points_[t].setConstant(kNaN);
         triangulate_new();
         reject();
+        huber_px_ = std::clamp(2 * residual_sigma(), 0.02, 1.0);
       }
       for (int round = 0; round < 3; ++round) {
         out.converged = adjust(false, 100);
@@ -106,6 +107,25 @@ class Sfm {
         m.push_back({t.at_px[ia - t.camera.begin()], t.at_px[ib - t.camera.begin()]});
     }
     return m;
+  }
+
+  /// The poses of the problem, if it has two; the gauge is held by those farthest apart.
+  bool take_start() {
+    double farthest = 0;
+    for (std::size_t a = 0; a < in_.started.size(); ++a)
+      for (std::size_t b = a + 1; b < in_.started.size(); ++b) {
+        const double d = (in_.start[a].centre() - in_.start[b].centre()).norm();
+        if (!in_.started[a] || !in_.started[b] || !(d > farthest)) continue;
+        farthest = d;
+        first_ = static_cast<int>(a);
+        second_ = static_cast<int>(b);
+      }
+    if (!(farthest > 0)) return false;
+    placed_ = in_.started;
+    for (int c = 0; c < in_.cameras; ++c)
+      if (placed_[c]) views_[c] = View::of(in_.start[c]);
+    triangulate_new();
+    return true;
   }
 
   /// The pair with the most matches times their median motion beyond a turn's, tried in that order until one
@@ -233,8 +253,8 @@ class Sfm {
         View& v = views_[in_.tracks[t].camera[k]];
         problem.AddResidualBlock(new ceres::AutoDiffCostFunction<Reprojection, 2, 1, 3, 3, 3>(
                                      new Reprojection{in_.tracks[t].at_px[k]}),
-                                 robust ? new ceres::HuberLoss(1) : nullptr, &focal_, v.r.data(), v.c.data(),
-                                 points_[t].data());
+                                 robust ? new ceres::HuberLoss(huber_px_) : nullptr, &focal_, v.r.data(),
+                                 v.c.data(), points_[t].data());
       }
     View &a = views_[first_], &b = views_[second_];
     for (double* block : {a.r.data(), a.c.data()})
@@ -261,15 +281,20 @@ class Sfm {
     return summary.IsSolutionUsable() && (robust || summary.termination_type == ceres::CONVERGENCE);
   }
 
-  /// Takes observations beyond four deviations out, and points left with one ray; whether there were any.
-  bool reject() {
+  /// Deviation of one coordinate, from the median of the residuals.
+  double residual_sigma() const {
     std::vector<double> r;
     for (std::size_t t = 0; t < points_.size(); ++t)
       for (std::size_t k = 0; k < inlier_[t].size(); ++k)
         if (used(t, k)) r.push_back(residual(t, k).norm());
-    if (r.empty()) return false;
+    if (r.empty()) return 0;
     std::nth_element(r.begin(), r.begin() + static_cast<long>(r.size() / 2), r.end());
-    const double sigma = std::max(0.01, r[r.size() / 2] / 1.1774);  // median of Rayleigh's distribution
+    return r[r.size() / 2] / 1.1774;  // median of Rayleigh's distribution
+  }
+
+  /// Takes observations beyond four deviations out, and points left with one ray; whether there were any.
+  bool reject() {
+    const double sigma = std::max(0.01, residual_sigma());
     bool any = false;
     for (std::size_t t = 0; t < points_.size(); ++t) {
       int left = 0;
@@ -430,6 +455,7 @@ class Sfm {
   std::vector<Eigen::Vector3d> points_;
   std::vector<std::vector<bool>> inlier_;
   int first_ = 0, second_ = 1;
+  double huber_px_ = 1;
 };
 
 }  // namespace

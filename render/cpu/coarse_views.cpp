@@ -46,7 +46,8 @@ std::shared_ptr<const ViewSet> coarse_views(PixelStore& store) {
   LightField& lf = set->lf;
   lf.width = coarse_size(lf.width);
   lf.height = coarse_size(lf.height);
-  lf.type = PixelType::f32;
+  // Integers are summed faster, and 16 bits hold a mean of bytes.
+  lf.type = lf.type == PixelType::u8 || lf.type == PixelType::u16 ? PixelType::u16 : PixelType::f32;
   lf.focal_px /= kCoarse;
   lf.convergence_px /= kCoarse;
   lf.cx0_px = coarse_centre(lf.cx0_px);

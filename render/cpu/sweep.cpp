@@ -98,6 +98,35 @@ Sweep::Sweep(PixelStore& pixels, const SweepLattice& sweep_lattice, const Viewpo
   tie = static_cast<float>(tie_of(type));
   M_x = std::min(options.window, view.width);
   M_y = std::min(options.window, view.height);
+  if (parallel && positions.constant && view.focal_px == store.views().lf.focal_px) find_shifts();
+}
+
+void Sweep::find_shifts() {
+  const ViewSet& set = store.views();
+  std::vector<char> wanted(set.cameras.size(), options.skips.idle_cameras ? 0 : 1);
+  for (const auto& filter : constant)
+    for (const CameraWeight& c : filter) wanted[static_cast<std::size_t>(c.camera)] = 1;
+  const auto split = [](double at, int& whole, float& fraction) {
+    const double nearest = std::round(at);
+    if (std::abs(at - nearest) < FocalPlaneRenderer::kSnap_px) at = nearest;
+    whole = static_cast<int>(std::floor(at));
+    fraction = static_cast<float>(at - whole);
+  };
+  shifts.resize(disparities.size() * set.cameras.size());
+  auto shift = shifts.begin();
+  for (const double d : disparities)
+    for (std::size_t c = 0; c < set.cameras.size(); ++c, ++shift) {
+      if (!wanted[c]) continue;
+      const CameraMap map = camera_map(set.lf, set.cameras[c], view, d);
+      const double u = map.u0 - view.cx_px, v = map.v0 - view.cy_px;
+      // Nowhere near the picture is as good as not visible.
+      shift->visible = map.visible && std::abs(u) < 1e6 && std::abs(v) < 1e6;
+      if (!shift->visible) continue;
+      split(u, shift->dx, shift->ax);
+      split(v, shift->dy, shift->ay);
+      shift->valid = {-shift->dx, -shift->dy, set.lf.width - shift->dx - (shift->ax > 0 ? 1 : 0),
+                      set.lf.height - shift->dy - (shift->ay > 0 ? 1 : 0)};
+    }
 }
 
 kernels::PairWeights Sweep::pair_weights() const {
@@ -194,55 +223,24 @@ void SweepBlock::acquire_views() {
 /// the cameras' plane.
 bool SweepBlock::meets_at_one_offset() const {
   const ViewSet& set = sweep_.store.views();
-  if (!sweep_.parallel || !sweep_.positions.constant || any_masked_) return false;
-  if (sweep_.view.focal_px != set.lf.focal_px) return false;
+  if (sweep_.shifts.empty() || any_masked_) return false;
   return std::all_of(cameras_.begin(), cameras_.end(),
                      [&](int c) { return set.cameras[static_cast<std::size_t>(c)].w == sweep_.view.z; });
 }
 
-void SweepBlock::find_shifts(int n) {
-  if (shifts_plane_ == n) return;
-  shifts_plane_ = n;
-  job_of_all_ = false;
-  const ViewSet& set = sweep_.store.views();
-  const Viewpoint& view = sweep_.view;
-  shifts_.assign(cameras_.size(), {});
-  for (std::size_t i = 0; i < cameras_.size(); ++i) {
-    const CameraMap map = camera_map(set.lf, set.cameras[static_cast<std::size_t>(cameras_[i])], view,
-                                     sweep_.disparities[static_cast<std::size_t>(n)]);
-    Shift& shift = shifts_[i];
-    shift.visible = map.visible;
-    if (!map.visible) continue;
-    const double u = map.u0 - view.cx_px, v = map.v0 - view.cy_px;
-    if (!(std::abs(u) < 1e6 && std::abs(v) < 1e6)) {  // nowhere near the picture
-      shift.visible = false;
-      continue;
-    }
-    const auto split = [](double at, int& whole, float& fraction) {
-      const double nearest = std::round(at);
-      if (std::abs(at - nearest) < FocalPlaneRenderer::kSnap_px) at = nearest;
-      whole = static_cast<int>(std::floor(at));
-      fraction = static_cast<float>(at - whole);
-    };
-    split(u, shift.dx, shift.ax);
-    split(v, shift.dy, shift.ay);
-    shift.valid = {-shift.dx, -shift.dy, set.lf.width - shift.dx - (shift.ax > 0 ? 1 : 0),
-                   set.lf.height - shift.dy - (shift.ay > 0 ? 1 : 0)};
-  }
-}
-
 /// The job of a part in which the same cameras see all pixels.
-void SweepBlock::fill_shift_job(const PixelRect& part) {
+void SweepBlock::fill_shift_job(int n, const PixelRect& part) {
   std::array<double, 3> seen{0, 0, 0};
   const auto sees = [&](std::size_t i) {
-    const Shift& s = shifts_[i];
+    const CameraShift& s = shift(n, i);
     return s.visible && s.valid.x0 <= part.x0 && part.x1 <= s.valid.x1 && s.valid.y0 <= part.y0 &&
            part.y1 <= s.valid.y1;
   };
   bool all = true;
-  for (std::size_t i = 0; i < cameras_.size(); ++i) all = all && (sees(i) || !shifts_[i].visible);
-  if (all && job_of_all_) return;
+  for (std::size_t i = 0; i < cameras_.size(); ++i) all = all && (sees(i) || !shift(n, i).visible);
+  if (all && job_of_all_ && job_plane_ == n) return;
   job_of_all_ = all;
+  job_plane_ = n;
   for (std::size_t i = 0; i < cameras_.size(); ++i)
     if (sees(i))
       for (std::size_t k = 0; k < 3; ++k) seen[k] += constant_[i][k];
@@ -260,46 +258,85 @@ void SweepBlock::fill_shift_job(const PixelRect& part) {
   const auto part_of = [&](std::size_t i, std::size_t k) {
     return seen[k] > 0 ? constant_[i][k] / seen[k] : 0.0;
   };
-  const auto add = [&](std::size_t i, double w1, double w2) {
-    const Shift& s = shifts_[i];
-    const StoredView& view = *views_[i];
-    ShiftTap tap;
-    tap.view = &view;
-    tap.offset = static_cast<std::ptrdiff_t>(s.dy) * view.width + s.dx;
-    tap.ax = s.ax;
-    const auto right = static_cast<std::int32_t>(
-        std::clamp(std::lround(s.ax / ShiftTap::kFixedUnit), 1L, std::lround(1 / ShiftTap::kFixedUnit) - 1));
-    tap.fixed_weights = (std::lround(1 / ShiftTap::kFixedUnit) - right) | (right << 16);
-    tap.two_rows = s.ay > 0;
-    tap.two_columns = s.ax > 0;
-    const double rows[] = {1 - s.ay, s.ay};
-    for (int q = 0; q < 2; ++q) {
-      tap.w1[q] = static_cast<float>(w1 * rows[q] * sweep_.scale);
-      tap.w2[q] = static_cast<float>(w2 * rows[q] * sweep_.scale);
-    }
-    shift_job_.taps.push_back(tap);
-  };
-  const bool use_second = a.a02 != 0 || a.a12 != 0;
+  const bool use_first = a.a01 != 0 || a.a12 != 0, use_second = a.a02 != 0 || a.a12 != 0;
+  first_weights_.clear();
+  second_weights_.clear();
   for (const bool second : {true, false}) {
     for (std::size_t i = 0; i < cameras_.size(); ++i) {
       if (!sees(i)) continue;
-      const double w1 = part_of(i, 0) - part_of(i, 1), w2 = use_second ? part_of(i, 0) - part_of(i, 2) : 0.0;
+      const double w1 = use_first ? part_of(i, 0) - part_of(i, 1) : 0.0;
+      const double w2 = use_second ? part_of(i, 0) - part_of(i, 2) : 0.0;
       // A camera of weight 0 is here only if idle cameras are not to be skipped.
-      if (second == (w2 != 0) && (w1 != 0 || w2 != 0 || !sweep_.options.skips.idle_cameras)) add(i, w1, w2);
+      if (second == (w2 != 0) && (w1 != 0 || w2 != 0 || !sweep_.options.skips.idle_cameras))
+        add_tap(shift(n, i), *views_[i], w1, w2);
     }
     if (second) shift_job_.in_second = shift_job_.taps.size();
   }
+  shift_job_.unit1 = fix_weights(first_weights_, &ShiftTap::fixed1);
+  shift_job_.unit2 = fix_weights(second_weights_, &ShiftTap::fixed2);
+}
+
+void SweepBlock::add_tap(const CameraShift& s, const StoredView& view, double w1, double w2) {
+  ShiftTap tap;
+  tap.view = &view;
+  tap.offset = static_cast<std::ptrdiff_t>(s.dy) * view.width + s.dx;
+  tap.ax = s.ax;
+  tap.two_rows = s.ay > 0;
+  tap.two_columns = s.ax > 0;
+  const double rows[] = {1 - s.ay, s.ay}, columns[] = {1 - s.ax, s.ax};
+  for (int q = 0; q < 2; ++q) {
+    tap.w1[q] = static_cast<float>(w1 * rows[q] * sweep_.scale);
+    tap.w2[q] = static_cast<float>(w2 * rows[q] * sweep_.scale);
+  }
+  const auto bilinear = [&](double w) {
+    return std::array<double, 4>{w * rows[0] * columns[0], w * rows[0] * columns[1], w * rows[1] * columns[0],
+                                 w * rows[1] * columns[1]};
+  };
+  first_weights_.push_back(bilinear(w1));
+  second_weights_.push_back(bilinear(w2));
+  shift_job_.taps.push_back(tap);
+}
+
+/// Integers in the place of weights, as large as their products with pixels may be. What rounding takes from
+/// one the next one gets, so their sum is that of the weights, 0, and a picture that is only brighter has the
+/// same differences. Returns what one of them is worth, in full scale.
+float SweepBlock::fix_weights(const std::vector<std::array<double, 4>>& weights,
+                              std::int32_t (ShiftTap::*fixed)[2]) {
+  double largest = 0, total = 0;
+  for (const auto& tap : weights)
+    for (const double w : tap) {
+      largest = std::max(largest, std::abs(w));
+      total += std::abs(w);
+    }
+  if (!(largest > 0)) return 0;
+  // Sums of 32 bits; of u16, less 2^15, each pixel is as large as that.
+  const double most = shift_job_.type == PixelType::u8 ? 8e6 : 6.5e4;
+  const double scale = std::min(32766 / largest, most / total);
+  double sum = 0;
+  long before = 0;
+  const auto next = [&](double w) {
+    sum += w * scale;
+    const long now = std::lround(sum), whole = now - before;
+    before = now;
+    return static_cast<std::uint16_t>(whole);
+  };
+  for (std::size_t t = 0; t < weights.size(); ++t)
+    for (std::size_t row = 0; row < 2; ++row) {
+      const std::uint32_t left = next(weights[t][2 * row]), right = next(weights[t][2 * row + 1]);
+      (shift_job_.taps[t].*fixed)[row] = static_cast<std::int32_t>(left | right << 16);
+    }
+  return static_cast<float>(sweep_.scale / scale);
 }
 
 /// True if equation 5 is defined and the plane a candidate everywhere; otherwise `defined_` and `candidate_`
 /// say where.
 bool SweepBlock::difference_by_shift(int n, const PixelRect& halo, const kernels::PairWeights& a) {
-  find_shifts(n);
   if (shift_job_.a != a) job_of_all_ = false;
   shift_job_.a = a;
   // Cameras come and go along straight lines only.
   std::vector<int> xs{halo.x0, halo.x1}, ys{halo.y0, halo.y1};
-  for (const Shift& s : shifts_) {
+  for (std::size_t i = 0; i < cameras_.size(); ++i) {
+    const CameraShift& s = shift(n, i);
     if (!s.visible) continue;
     for (const int x : {s.valid.x0, s.valid.x1})
       if (x > halo.x0 && x < halo.x1) xs.push_back(x);
@@ -318,7 +355,7 @@ bool SweepBlock::difference_by_shift(int n, const PixelRect& halo, const kernels
   for (std::size_t j = 0; j + 1 < ys.size(); ++j)
     for (std::size_t i = 0; i + 1 < xs.size(); ++i) {
       const PixelRect part{xs[i], ys[j], xs[i + 1], ys[j + 1]};
-      fill_shift_job(part);
+      fill_shift_job(n, part);
       if (!job_defined_ || !job_candidate_) gaps.push_back({part, job_defined_, job_candidate_});
       if (job_defined_) {
         shift_difference(shift_job_, part.x0, part.y0, part.x1 - part.x0, part.y1 - part.y0,
@@ -536,55 +573,91 @@ void SweepBlock::clear_outside(std::vector<float>& raster, const PixelRect& padd
   }
 }
 
-/// Where windows around columns [x0, x1) lie.
-PixelRect SweepBlock::halo_of(int x0, int x1) const {
+/// Where windows around `part` lie.
+PixelRect SweepBlock::halo_of(const PixelRect& part) const {
   const int margin = sweep_.windows == Windows::cut ? 0 : sweep_.M_x;
-  return intersection({x0 - margin, padded_.y0, x1 + margin, padded_.y1}, halo_);
+  return intersection({part.x0 - margin, part.y0 - sweep_.M_y, part.x1 + margin, part.y1 + sweep_.M_y},
+                      halo_);
 }
 
 /// inverse_: 1 / the pixels of each window that lie in `halo`.
-void SweepBlock::invert_counts(const PixelRect& halo, int x0, int x1) {
-  if (inverted_halo_ == halo && inverted_x0_ == x0 && inverted_x1_ == x1) return;
+void SweepBlock::invert_counts(const PixelRect& halo, const PixelRect& part) {
+  if (inverted_halo_ == halo && inverted_part_ == part) return;
   inverted_halo_ = halo;
-  inverted_x0_ = x0;
-  inverted_x1_ = x1;
+  inverted_part_ = part;
   const auto inside = [](int at, int M, int low, int high) {
     return std::min(at + M, high - 1) - std::max(at - M, low) + 1;
   };
   int last = 0;
   const float* before = nullptr;
-  for (int y = rect_.y0; y < rect_.y1; ++y) {
-    float* inverse = inverse_.data() + static_cast<std::size_t>(y - rect_.y0) * stride_ + (x0 - rect_.x0);
+  for (int y = part.y0; y < part.y1; ++y) {
+    float* inverse =
+        inverse_.data() + static_cast<std::size_t>(y - rect_.y0) * stride_ + (part.x0 - rect_.x0);
     const int rows = inside(y, sweep_.M_y, halo.y0, halo.y1);
     if (rows == last) {
-      std::copy_n(before, x1 - x0, inverse);
+      std::copy_n(before, part.x1 - part.x0, inverse);
     } else {
-      for (int x = x0; x < x1; ++x)
-        inverse[x - x0] = 1 / static_cast<float>(rows * inside(x, sweep_.M_x, halo.x0, halo.x1));
+      for (int x = part.x0; x < part.x1; ++x)
+        inverse[x - part.x0] = 1 / static_cast<float>(rows * inside(x, sweep_.M_x, halo.x0, halo.x1));
     }
     last = rows;
     before = inverse;
   }
 }
 
-void SweepBlock::evaluate(int n, int x0, int x1) {
+bool SweepBlock::difference(int n, const PixelRect& halo) {
+  return by_shift_ ? difference_by_shift(n, halo, sweep_.pair_weights()) : difference_by_warp(n, halo);
+}
+
+void SweepBlock::evaluate(int n, int x0, int x1) { evaluate_part(n, {x0, rect_.y0, x1, rect_.y1}, nullptr); }
+
+void SweepBlock::evaluate_rows(int n, int y0, int y1) {
+  carries_.resize(sweep_.disparities.size());
+  evaluate_part(n, {rect_.x0, y0, rect_.x1, y1}, &carries_[static_cast<std::size_t>(n)]);
+}
+
+void SweepBlock::evaluate_part(int n, const PixelRect& part, Carry* carry) {
   const int M_x = sweep_.M_x, M_y = sweep_.M_y;
-  const PixelRect padded{x0 - M_x, padded_.y0, x1 + M_x, padded_.y1};
-  const PixelRect halo = halo_of(x0, x1);
-  const int width = x1 - x0, height = rect_.y1 - rect_.y0;
-  defined_everywhere_ =
-      by_shift_ ? difference_by_shift(n, halo, sweep_.pair_weights()) : difference_by_warp(n, halo);
-  clear_outside(E0_, padded, halo);
-  const std::size_t first = static_cast<std::size_t>(x0 - rect_.x0);
-  kernels::box_sum(E0_at(padded.x0, padded.y0), stride_, width, height, M_x, M_y, sum_.data() + first,
-                   stride_, scratch_);
+  const PixelRect padded{part.x0 - M_x, part.y0 - M_y, part.x1 + M_x, part.y1 + M_y};
+  const PixelRect halo = halo_of(part);
+  const int width = part.x1 - part.x0, height = part.y1 - part.y0;
+  const auto carried_size = static_cast<std::size_t>(2 * M_y) * static_cast<std::size_t>(width);
+  bool carried = carry != nullptr && carry->y == part.y0;
+  PixelRect rows = padded, fresh = halo;
+  if (carried) {
+    rows.y0 = part.y0 + M_y;
+    fresh.y0 = std::min(rows.y0, halo.y1);
+  }
+  defined_everywhere_ = difference(n, fresh);
+  if (carried && !defined_everywhere_) {
+    // What was carried knows no gaps.
+    carried = false;
+    rows = padded;
+    fresh = halo;
+    difference(n, fresh);
+  }
+  clear_outside(E0_, rows, fresh);
+  kernels::sum_rows(E0_at(rows.x0, rows.y0), stride_, width, rows.y1 - rows.y0, M_x, scratch_);
+  const auto row_of_sums = [&](int y) { return E0_at(padded.x0, y); };
+  const auto carried_row = [&](int i) { return carry->rows.data() + static_cast<std::ptrdiff_t>(i) * width; };
+  for (int i = 0; carried && i < 2 * M_y; ++i) std::copy_n(carried_row(i), width, row_of_sums(padded.y0 + i));
+  if (carry != nullptr) {
+    carry->rows.resize(carried_size);
+    carry->y = defined_everywhere_ ? part.y1 : std::numeric_limits<int>::min();
+    for (int i = 0; defined_everywhere_ && i < 2 * M_y; ++i)
+      std::copy_n(row_of_sums(part.y1 - M_y + i), width, carried_row(i));
+  }
+  const std::size_t first =
+      static_cast<std::size_t>(part.y0 - rect_.y0) * stride_ + static_cast<std::size_t>(part.x0 - rect_.x0);
+  kernels::sum_columns(row_of_sums(padded.y0), stride_, width, height, M_y, sum_.data() + first, stride_);
   multiply_adds_ += kernels::multiply_adds_of_window(M_x, M_y) * width * height;
   if (defined_everywhere_) {
-    invert_counts(halo, x0, x1);
+    invert_counts(halo, part);
   } else {
     clear_outside(defined_, padded, halo);
-    kernels::box_sum(defined_.data() + index_of(padded.x0, padded.y0), stride_, width, height, M_x, M_y,
-                     count_.data() + first, stride_, scratch_);
+    float* defined = defined_.data() + index_of(padded.x0, padded.y0);
+    kernels::sum_rows(defined, stride_, width, padded.y1 - padded.y0, M_x, scratch_);
+    kernels::sum_columns(defined, stride_, width, height, M_y, count_.data() + first, stride_);
   }
   for (int y = 0; y < height; ++y) {
     const std::size_t at = static_cast<std::size_t>(y) * stride_ + first;
@@ -594,13 +667,14 @@ void SweepBlock::evaluate(int n, int x0, int x1) {
       kernels::add_plane(best, n, width, sum_.data() + at, inverse_.data() + at, sweep_.tie);
     else
       kernels::add_part_plane(best, n, width, sum_.data() + at, count_.data() + at,
-                              candidate_.data() + index_of(x0, rect_.y0 + y), sweep_.tie);
+                              candidate_.data() + index_of(part.x0, part.y0 + y), sweep_.tie);
   }
 }
 
 bool SweepBlock::ruled_out(int n, int x0, int x1) {
   const kernels::PairWeights all = sweep_.pair_weights();
   if (!by_shift_ || all.a02 == 0 || all.a01 == 0) return false;
+  const PixelRect part{x0, rect_.y0, x1, rect_.y1};
   const int width = x1 - x0, height = rect_.y1 - rect_.y0;
   // Cheap first look: without any cost to beat there is nothing to rule out.
   for (int y = 0; y < height; ++y) {
@@ -609,13 +683,14 @@ bool SweepBlock::ruled_out(int n, int x0, int x1) {
   }
   const int M_x = sweep_.M_x, M_y = sweep_.M_y;
   const PixelRect padded{x0 - M_x, padded_.y0, x1 + M_x, padded_.y1};
-  const PixelRect halo = halo_of(x0, x1);
+  const PixelRect halo = halo_of(part);
   if (!difference_by_shift(n, halo, {0, all.a02, 0})) return false;
   clear_outside(E0_, padded, halo);
   const std::size_t first = static_cast<std::size_t>(x0 - rect_.x0);
-  kernels::box_sum(E0_at(padded.x0, padded.y0), stride_, width, height, M_x, M_y, sum_.data() + first,
-                   stride_, scratch_);
-  invert_counts(halo, x0, x1);
+  kernels::sum_rows(E0_at(padded.x0, padded.y0), stride_, width, padded.y1 - padded.y0, M_x, scratch_);
+  kernels::sum_columns(E0_at(padded.x0, padded.y0), stride_, width, height, M_y, sum_.data() + first,
+                       stride_);
+  invert_counts(halo, part);
   for (int y = 0; y < height; ++y) {
     const std::size_t at = static_cast<std::size_t>(y) * stride_ + first;
     for (std::size_t x = at; x < at + static_cast<std::size_t>(width); ++x)
@@ -686,10 +761,9 @@ PixelRect SweepBlock::fill_colour_job(const SweepBlock& searched, kernels::Colou
   job.taps.resize(planes * filter.size());
   for (std::size_t n = 0; n < planes; ++n) {
     if (!present[n]) continue;
-    find_shifts(static_cast<int>(n));
     for (std::size_t c = 0; c < filter.size(); ++c) {
       const std::size_t i = filter[c];
-      const Shift& s = shifts_[i];
+      const CameraShift& s = shift(static_cast<int>(n), i);
       if (!s.visible) return {};
       seen = intersection(seen, s.valid);
       const double w = constant_[i][k] / total * sweep_.scale;

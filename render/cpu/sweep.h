@@ -34,6 +34,14 @@ enum class Windows {
   cut     ///< to the border of the block and of the columns that are evaluated together
 };
 
+/// Where a parallel view meets one camera's picture on one plane: at one offset from every output pixel.
+struct CameraShift {
+  int dx = 0, dy = 0;    ///< to the upper left tap
+  float ax = 0, ay = 0;  ///< shares of the right and the lower taps
+  PixelRect valid;       ///< output pixels all of whose taps are there
+  bool visible = false;
+};
+
 /// What all blocks of one picture share.
 struct Sweep {
   Sweep(PixelStore& pixels, const SweepLattice& sweep_lattice, const Viewpoint& viewpoint,
@@ -51,9 +59,14 @@ struct Sweep {
   /// Weights by filter of all cameras, where they are the same for the whole picture.
   std::array<std::vector<CameraWeight>, 3> constant;
   bool parallel = false;
+  /// [plane][camera], of cameras that may have weight; empty if no camera is met at one offset.
+  std::vector<CameraShift> shifts;
   float scale = 1;       ///< of stored values: 1/255, 1/65535 or 1
   float tie = 0;         ///< costs that differ by no more are equal
   int M_x = 0, M_y = 0;  ///< the window, no larger than the picture needs
+
+ private:
+  void find_shifts();
 };
 
 /// Planes evaluated on one rectangle of the output picture: equations 5 to 8 for it. All memory is the
@@ -68,6 +81,9 @@ class SweepBlock {
   /// Plane n on columns [x0, x1) of the picture, which must lie in the block.
   void evaluate(int n, int x0, int x1);
   void evaluate(int n) { evaluate(n, rect_.x0, rect_.x1); }
+  /// Plane n on the block's rows [y0, y1). Each plane's rows in order: what its windows share with the rows
+  /// before is kept, so that a block can be walked in bands whose pixels stay in the cache.
+  void evaluate_rows(int n, int y0, int y1);
   /// True if the difference of the normal and the skipped filter alone, a lower bound of equation 5, shows on
   /// every pixel of the columns that plane n is not the best. Costs a third of evaluate().
   bool ruled_out(int n, int x0, int x1);
@@ -106,25 +122,32 @@ class SweepBlock {
   double bytes() const;
 
  private:
-  struct Shift {
-    int dx = 0, dy = 0;
-    float ax = 0, ay = 0;
-    PixelRect valid;  ///< output pixels all of whose taps are there
-    bool visible = false;
+  /// Row sums of one plane that the next rows' windows reach back to: 2 M_y rows from y - M_y on.
+  struct Carry {
+    int y = std::numeric_limits<int>::min();
+    std::vector<float> rows;
   };
+  void evaluate_part(int n, const PixelRect& part, Carry* carry);
+  bool difference(int n, const PixelRect& halo);
   void find_cameras();
   void acquire_views();
   void make_weights();
   void make_rays();
   void make_maps();
   bool meets_at_one_offset() const;
-  void find_shifts(int n);
+  const CameraShift& shift(int n, std::size_t i) const {
+    return sweep_.shifts[static_cast<std::size_t>(n) * sweep_.store.views().cameras.size() +
+                         static_cast<std::size_t>(cameras_[i])];
+  }
   bool difference_by_shift(int n, const PixelRect& halo, const kernels::PairWeights& a);
   bool difference_by_warp(int n, const PixelRect& halo);
-  void invert_counts(const PixelRect& halo, int x0, int x1);
-  PixelRect halo_of(int x0, int x1) const;
+  void invert_counts(const PixelRect& halo, const PixelRect& part);
+  PixelRect halo_of(const PixelRect& part) const;
   void clear_outside(std::vector<float>& raster, const PixelRect& padded, const PixelRect& halo);
-  void fill_shift_job(const PixelRect& part);
+  void fill_shift_job(int n, const PixelRect& part);
+  void add_tap(const CameraShift& s, const StoredView& view, double w1, double w2);
+  float fix_weights(const std::vector<std::array<double, 4>>& weights,
+                    std::int32_t (kernels::ShiftTap::*fixed)[2]);
   void prepare_warp();
   void colour_by_warp(const PixelRect& part, const SweepBlock& searched, float* colour, float* coverage);
   PixelRect fill_colour_job(const SweepBlock& searched, kernels::ColourJob& job);
@@ -150,9 +173,10 @@ class SweepBlock {
   };
   std::vector<Spans> spans_;  ///< of masked views
   bool any_masked_ = false, by_shift_ = false;
-  std::vector<Shift> shifts_;  ///< of plane shifts_plane_, beside cameras_
-  int shifts_plane_ = -1;
+  std::vector<Carry> carries_;  ///< by plane
   kernels::ShiftJob shift_job_;
+  int job_plane_ = -1;
+  std::vector<std::array<double, 4>> first_weights_, second_weights_;  ///< of the job's taps, by corner
   /// shift_job_ is of the plane's shifts, of all cameras; whether equation 5 is defined there, and the plane
   /// a candidate.
   bool job_of_all_ = false, job_defined_ = false, job_candidate_ = false;
@@ -162,9 +186,8 @@ class SweepBlock {
   std::vector<float> gx_, gy_, weights_;
   std::vector<float> E0_, defined_, candidate_, sum_, count_, inverse_, E_min_, E_sum_, E_count_, scratch_;
   std::vector<std::int32_t> plane_;
-  PixelRect inverted_halo_;  ///< what inverse_ is of
-  int inverted_x0_ = 0, inverted_x1_ = 0;
-  bool defined_everywhere_ = false;  ///< equation 5 of the plane evaluated last
+  PixelRect inverted_halo_, inverted_part_;  ///< what inverse_ is of
+  bool defined_everywhere_ = false;          ///< equation 5 of the plane evaluated last
   double multiply_adds_ = 0;
 };
 

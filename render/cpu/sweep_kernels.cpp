@@ -4,20 +4,25 @@
 #include <bit>
 #include <chrono>
 #include <cmath>
+#include <type_traits>
 #include <vector>
 
 #include "render/focal_plane.h"
 
 // Vectors are kept in arrays, which the sizeless types of SVE and RVV do not allow.
-#define HWY_DISABLED_TARGETS                                                                        \
-  (HWY_SSSE3 | HWY_AVX3_DL | HWY_SVE | HWY_SVE2 | HWY_SVE_256 | HWY_SVE2_128 | HWY_RVV | HWY_WASM | \
-   HWY_WASM_EMU256)
+#define HWY_WANT_AVX3_DL
+#define HWY_DISABLED_TARGETS \
+  (HWY_SSSE3 | HWY_SVE | HWY_SVE2 | HWY_SVE_256 | HWY_SVE2_128 | HWY_RVV | HWY_WASM | HWY_WASM_EMU256)
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "render/cpu/sweep_kernels.cpp"
 #include <hwy/foreach_target.h>
 #include <hwy/highway.h>
 
 HWY_BEFORE_NAMESPACE();
+// Highway 1.0 asks the processor for VNNI, but not the compiler.
+#if HWY_TARGET == HWY_AVX3_DL
+HWY_PUSH_ATTRIBUTES("avx512vnni")
+#endif
 namespace stuv::kernels::HWY_NAMESPACE {
 namespace {
 
@@ -40,80 +45,22 @@ HWY_INLINE V load(const T* p) {
     return hn::ConvertTo(d, hn::PromoteTo(di, hn::LoadU(hn::Rebind<T, DI>(), p)));
 }
 
-/// Output rows at a time: as many as the registers hold.
-constexpr int kRows = HWY_TARGET == HWY_AVX3 || HWY_TARGET == HWY_NEON ? 8 : 4;
+/// Output rows at a time, of float pixels: as many as the registers hold.
+constexpr bool kManyRegisters = HWY_TARGET == HWY_AVX3 || HWY_TARGET == HWY_AVX3_DL;
+constexpr int kRows = kManyRegisters || HWY_TARGET == HWY_NEON ? 8 : 4;
 
-/// Bilinear blend along a row: a vector of pixels from where p points, times `unit`.
-template <class T>
-struct AlongRow {
-  static constexpr float unit = 1;
-  explicit AlongRow(const ShiftTap& tap) : left(hn::Set(d, 1 - tap.ax)), right(hn::Set(d, tap.ax)) {}
-  HWY_INLINE V operator()(const T* p) const { return hn::MulAdd(right, load(p + 1), hn::Mul(left, load(p))); }
-
-  V left, right;
-};
-
-#if HWY_TARGET != HWY_SCALAR
-/// Of bytes in integers: both weights of a pixel in one multiplication, and one conversion. The weights have
-/// 15 bits, a 32,768th of a pixel; the products are exact.
-template <>
-struct AlongRow<std::uint8_t> {
-  static constexpr float unit = ShiftTap::kFixedUnit;
-  using D8 = hn::Repartition<std::uint8_t, D>;
-  using D16 = hn::Repartition<std::int16_t, D>;
-
-  explicit AlongRow(const ShiftTap& tap) : weights(hn::BitCast(D16(), hn::Set(di, tap.fixed_weights))) {
-    alignas(64) std::uint8_t pair[64];
-    for (std::size_t i = 0; i < hn::Lanes(D8()); ++i) {
-      // 16 bits a byte, the pixel and its neighbour; each 128 bits look up in themselves.
-      const std::size_t at = i / 4 % (kWide ? 4 : 16) + i % 4 / 2;
-      pair[i] = static_cast<std::uint8_t>(i % 2 == 1 ? 0x80 : at);
-    }
-    pairs = hn::Load(D8(), pair);
-    if constexpr (kWide) {
-      alignas(64) std::int32_t quad[16];
-      for (int i = 0; i < 16; ++i) quad[i] = i / 4 + i % 4 % 2;
-      quads = hn::Load(di, quad);
-    }
-  }
-  HWY_INLINE V operator()(const std::uint8_t* p) const {
-    hn::Vec<D8> bytes;
-    if constexpr (kWide) {
-      const hn::Half<D8> half;
-      const VI sixteen = hn::BitCast(di, hn::ZeroExtendVector(D8(), hn::LoadU(half, p)));
-      bytes = hn::BitCast(D8(), hn::TableLookupLanes(sixteen, hn::IndicesFromVec(di, quads)));
-    } else {
-      bytes = hn::LoadDup128(D8(), p);
-    }
-    const auto values = hn::BitCast(D16(), hn::TableLookupBytesOr0(bytes, pairs));
-    VI odd = hn::Zero(di);
-    const VI even = hn::ReorderWidenMulAccumulate(di, values, weights, hn::Zero(di), odd);
-    return hn::ConvertTo(d, hn::RearrangeToOddPlusEven(even, odd));
-  }
-
-  /// 16 pixels and a neighbour are more than 128 bits.
-  static constexpr bool kWide = HWY_TARGET == HWY_AVX3;
-  hn::Vec<D16> weights;
-  hn::Vec<D8> pairs;
-  VI quads;
-};
-#endif
-
-/// Adds R output rows of one tap: row r of the picture is the upper row of output r and the lower one of
-/// r - 1.
-template <class T, int R, bool second, bool two_rows, bool two_columns>
-HWY_INLINE void add_tap(const T* HWY_RESTRICT p, std::size_t stride, const ShiftTap& tap, V* a1, V* a2) {
-  const float scale = two_columns ? AlongRow<T>::unit : 1.0F;
-  const V upper1 = hn::Set(d, tap.w1[0] * scale), lower1 = hn::Set(d, tap.w1[1] * scale);
-  const V upper2 = hn::Set(d, tap.w2[0] * scale), lower2 = hn::Set(d, tap.w2[1] * scale);
-  const AlongRow<T> along_row(tap);
+/// Adds R output rows of one tap of float pixels: row r of the picture is the upper row of output r and the
+/// lower one of r - 1.
+template <int R, bool second, bool two_rows, bool two_columns>
+HWY_INLINE void add_tap(const float* HWY_RESTRICT p, std::size_t stride, const ShiftTap& tap, V* a1, V* a2) {
+  const V upper1 = hn::Set(d, tap.w1[0]), lower1 = hn::Set(d, tap.w1[1]);
+  const V upper2 = hn::Set(d, tap.w2[0]), lower2 = hn::Set(d, tap.w2[1]);
+  const V left = hn::Set(d, 1 - tap.ax), right = hn::Set(d, tap.ax);
 #pragma GCC unroll 16
   for (int r = 0; r < R + (two_rows ? 1 : 0); ++r) {
-    V row;
-    if constexpr (two_columns)
-      row = along_row(p + r * stride);
-    else
-      row = load(p + r * stride);
+    const float* from = p + r * stride;
+    V row = load(from);
+    if constexpr (two_columns) row = hn::MulAdd(right, load(from + 1), hn::Mul(left, row));
     if (r < R) {
       a1[r] = hn::MulAdd(upper1, row, a1[r]);
       if constexpr (second) a2[r] = hn::MulAdd(upper2, row, a2[r]);
@@ -125,66 +72,198 @@ HWY_INLINE void add_tap(const T* HWY_RESTRICT p, std::size_t stride, const Shift
   }
 }
 
-template <class T, int R, bool second>
-HWY_INLINE void add_tap_of(const ShiftTap& tap, const T* p, std::size_t stride, V* a1, V* a2) {
+template <int R, bool second>
+HWY_INLINE void add_tap_of(const ShiftTap& tap, const float* p, std::size_t stride, V* a1, V* a2) {
   if (tap.two_rows && tap.two_columns)
-    add_tap<T, R, second, true, true>(p, stride, tap, a1, a2);
+    add_tap<R, second, true, true>(p, stride, tap, a1, a2);
   else if (tap.two_rows)
-    add_tap<T, R, second, true, false>(p, stride, tap, a1, a2);
+    add_tap<R, second, true, false>(p, stride, tap, a1, a2);
   else if (tap.two_columns)
-    add_tap<T, R, second, false, true>(p, stride, tap, a1, a2);
+    add_tap<R, second, false, true>(p, stride, tap, a1, a2);
   else
-    add_tap<T, R, second, false, false>(p, stride, tap, a1, a2);
+    add_tap<R, second, false, false>(p, stride, tap, a1, a2);
 }
 
-/// One channel of R rows; `pixels`: where each tap begins.
-template <class T, int R>
-HWY_NOINLINE void add_channel(const ShiftJob& job, const T* const* pixels, std::size_t stride, int width,
-                              bool first, float* HWY_RESTRICT E0, std::size_t E0_stride) {
-  const V a01 = hn::Set(d, job.a.a01), a02 = hn::Set(d, job.a.a02), a12 = hn::Set(d, job.a.a12);
-  const bool third = job.a.a12 != 0;
+/// Equation 5's part of one channel.
+HWY_INLINE V weighted_difference(const ShiftJob& job, V D1, V D2) {
+  V e = hn::Mul(hn::Set(d, job.a.a01), hn::Abs(D1));
+  e = hn::MulAdd(hn::Set(d, job.a.a02), hn::Abs(D2), e);
+  if (job.a.a12 != 0) e = hn::MulAdd(hn::Set(d, job.a.a12), hn::Abs(hn::Sub(D2, D1)), e);
+  return e;
+}
+
+/// R rows of float pixels; pixels[c * taps + t]: where tap t begins in channel c.
+template <int R>
+HWY_NOINLINE void difference_rows(const ShiftJob& job, const float* const* pixels, std::size_t stride,
+                                  int width, float* HWY_RESTRICT E0, std::size_t E0_stride) {
   const ShiftTap* taps = job.taps.data();
   const std::size_t count = job.taps.size();
   for (int i = 0; i < width; i += static_cast<int>(hn::Lanes(d))) {
-    V a1[R], a2[R];
+    V e[R];
 #pragma GCC unroll 16
-    for (int r = 0; r < R; ++r) a1[r] = a2[r] = hn::Zero(d);
-    for (std::size_t t = 0; t < job.in_second; ++t)
-      add_tap_of<T, R, true>(taps[t], pixels[t] + i, stride, a1, a2);
-    for (std::size_t t = job.in_second; t < count; ++t)
-      add_tap_of<T, R, false>(taps[t], pixels[t] + i, stride, a1, a2);
+    for (int r = 0; r < R; ++r) e[r] = hn::Zero(d);
+    for (int c = 0; c < job.channels; ++c) {
+      const float* const* p = pixels + static_cast<std::size_t>(c) * count;
+      V a1[R], a2[R];
 #pragma GCC unroll 16
-    for (int r = 0; r < R; ++r) {
-      V e = hn::MulAdd(a01, hn::Abs(a1[r]), hn::Mul(a02, hn::Abs(a2[r])));
-      if (third) e = hn::MulAdd(a12, hn::Abs(hn::Sub(a2[r], a1[r])), e);
-      float* out = E0 + r * E0_stride + i;
-      if (!first) e = hn::Add(e, hn::LoadU(d, out));
-      hn::StoreU(e, d, out);
+      for (int r = 0; r < R; ++r) a1[r] = a2[r] = hn::Zero(d);
+      for (std::size_t t = 0; t < job.in_second; ++t) add_tap_of<R, true>(taps[t], p[t] + i, stride, a1, a2);
+      for (std::size_t t = job.in_second; t < count; ++t)
+        add_tap_of<R, false>(taps[t], p[t] + i, stride, a1, a2);
+#pragma GCC unroll 16
+      for (int r = 0; r < R; ++r) e[r] = hn::Add(e[r], weighted_difference(job, a1[r], a2[r]));
     }
+#pragma GCC unroll 16
+    for (int r = 0; r < R; ++r) hn::StoreU(e[r], d, E0 + r * E0_stride + i);
   }
 }
 
-template <class T, int R>
-void shift_rows(const ShiftJob& job, int x, int y, int width, float* E0, std::size_t E0_stride) {
-  static thread_local std::vector<const T*> pixels;
-  pixels.resize(job.taps.size());
-  const std::size_t stride = static_cast<std::size_t>(job.taps.empty() ? 0 : job.taps.front().view->width);
-  for (int c = 0; c < job.channels; ++c) {
-    for (std::size_t t = 0; t < pixels.size(); ++t)
-      pixels[t] =
-          job.taps[t].view->plane<T>(c) + job.taps[t].offset + static_cast<std::ptrdiff_t>(y * stride) + x;
-    add_channel<T, R>(job, pixels.data(), stride, width, c == 0, E0, E0_stride);
+#if HWY_TARGET == HWY_SCALAR
+/// Integers, one by one.
+template <int R, class T>
+void difference_rows(const ShiftJob& job, const T* const* pixels, std::size_t stride, int width, float* E0,
+                     std::size_t E0_stride) {
+  const auto part = [](std::int32_t pair, int q) { return static_cast<std::int16_t>(pair >> (16 * q)); };
+  const std::size_t count = job.taps.size();
+  for (int r = 0; r < R; ++r)
+    for (int i = 0; i < width; ++i) {
+      V e = hn::Zero(d);
+      for (int c = 0; c < job.channels; ++c) {
+        std::int64_t sum1 = 0, sum2 = 0;
+        for (std::size_t t = 0; t < count; ++t) {
+          const ShiftTap& tap = job.taps[t];
+          const T* p = pixels[static_cast<std::size_t>(c) * count + t] + r * stride + i;
+          for (int row = 0; row < (tap.two_rows ? 2 : 1); ++row, p += stride)
+            for (int q = 0; q < 2; ++q) {
+              sum1 += part(tap.fixed1[row], q) * static_cast<std::int64_t>(p[q]);
+              if (t < job.in_second) sum2 += part(tap.fixed2[row], q) * static_cast<std::int64_t>(p[q]);
+            }
+        }
+        e = hn::Add(e, weighted_difference(job, hn::Set(d, static_cast<float>(sum1) * job.unit1),
+                                           hn::Set(d, static_cast<float>(sum2) * job.unit2)));
+      }
+      hn::StoreU(e, d, E0 + r * E0_stride + i);
+    }
+}
+constexpr int kIntegerRows = 4;
+#else
+using D16 = hn::Repartition<std::int16_t, D>;
+using V16 = hn::Vec<D16>;
+
+/// Pixels from p on as 16-bit integers: each 32 bits hold a pixel and its right neighbour. Those of u16 are
+/// less 2^15, which weights of sum 0 do not see.
+HWY_INLINE V16 load_pairs(const std::uint8_t* p) {
+  return hn::PromoteTo(D16(), hn::LoadU(hn::Rebind<std::uint8_t, D16>(), p));
+}
+HWY_INLINE V16 load_pairs(const std::uint16_t* p) {
+  const V16 bits = hn::BitCast(D16(), hn::LoadU(hn::RebindToUnsigned<D16>(), p));
+  return hn::Xor(bits, hn::Set(D16(), std::int16_t{-32768}));
+}
+
+/// A sum of products in the two halves that Highway's operation makes.
+struct Sum {
+  VI even, odd;
+};
+
+HWY_INLINE void add_products(V16 pixels, V16 weights, Sum& sum) {
+#if HWY_TARGET == HWY_AVX3_DL
+  // One instruction, which Highway 1.0 makes two of.
+  sum.even = VI{_mm512_dpwssd_epi32(sum.even.raw, pixels.raw, weights.raw)};
+#else
+  sum.even = hn::ReorderWidenMulAccumulate(di, pixels, weights, sum.even, sum.odd);
+#endif
+}
+
+/// Adds R output rows of one tap. sum[2 r]: pixels 0, 2, 4 .. of output row r, sum[2 r + 1]: 1, 3, 5 ..
+template <int R, bool second, bool two_rows, class T>
+HWY_INLINE void add_tap(const T* HWY_RESTRICT p, std::size_t stride, const ShiftTap& tap, Sum* sum1,
+                        Sum* sum2) {
+  const V16 upper1 = hn::BitCast(D16(), hn::Set(di, tap.fixed1[0]));
+  const V16 lower1 = hn::BitCast(D16(), hn::Set(di, tap.fixed1[1]));
+  const V16 upper2 = hn::BitCast(D16(), hn::Set(di, tap.fixed2[0]));
+  const V16 lower2 = hn::BitCast(D16(), hn::Set(di, tap.fixed2[1]));
+#pragma GCC unroll 16
+  for (int r = 0; r < R + (two_rows ? 1 : 0); ++r)
+#pragma GCC unroll 2
+    for (int odd = 0; odd < 2; ++odd) {
+      const V16 pairs = load_pairs(p + r * stride + odd);
+      if (r < R) {
+        add_products(pairs, upper1, sum1[2 * r + odd]);
+        if constexpr (second) add_products(pairs, upper2, sum2[2 * r + odd]);
+      }
+      if (two_rows && r > 0) {
+        add_products(pairs, lower1, sum1[2 * r - 2 + odd]);
+        if constexpr (second) add_products(pairs, lower2, sum2[2 * r - 2 + odd]);
+      }
+    }
+}
+
+template <int R, bool second, class T>
+HWY_INLINE void add_tap_of(const ShiftTap& tap, const T* p, std::size_t stride, Sum* sum1, Sum* sum2) {
+  if (tap.two_rows)
+    add_tap<R, second, true>(p, stride, tap, sum1, sum2);
+  else
+    add_tap<R, second, false>(p, stride, tap, sum1, sum2);
+}
+
+HWY_INLINE V value_of(const Sum& sum, float unit) {
+  return hn::Mul(hn::Set(d, unit), hn::ConvertTo(d, hn::RearrangeToOddPlusEven(sum.even, sum.odd)));
+}
+
+/// R rows of integer pixels, both weights of a pixel and its neighbour in one multiplication.
+template <int R, class T>
+HWY_NOINLINE void difference_rows(const ShiftJob& job, const T* const* pixels, std::size_t stride, int width,
+                                  float* HWY_RESTRICT E0, std::size_t E0_stride) {
+  const ShiftTap* taps = job.taps.data();
+  const std::size_t count = job.taps.size();
+  for (int i = 0; i < width; i += 2 * static_cast<int>(hn::Lanes(d))) {
+    V e[2 * R];
+#pragma GCC unroll 16
+    for (int k = 0; k < 2 * R; ++k) e[k] = hn::Zero(d);
+    for (int c = 0; c < job.channels; ++c) {
+      const T* const* p = pixels + static_cast<std::size_t>(c) * count;
+      Sum sum1[2 * R], sum2[2 * R];
+#pragma GCC unroll 16
+      for (int k = 0; k < 2 * R; ++k) sum1[k] = sum2[k] = {hn::Zero(di), hn::Zero(di)};
+      for (std::size_t t = 0; t < job.in_second; ++t)
+        add_tap_of<R, true>(taps[t], p[t] + i, stride, sum1, sum2);
+      for (std::size_t t = job.in_second; t < count; ++t)
+        add_tap_of<R, false>(taps[t], p[t] + i, stride, sum1, sum2);
+#pragma GCC unroll 16
+      for (int k = 0; k < 2 * R; ++k)
+        e[k] = hn::Add(e[k],
+                       weighted_difference(job, value_of(sum1[k], job.unit1), value_of(sum2[k], job.unit2)));
+    }
+#pragma GCC unroll 16
+    for (int r = 0; r < R; ++r) hn::StoreInterleaved2(e[2 * r], e[2 * r + 1], d, E0 + r * E0_stride + i);
   }
 }
+constexpr int kIntegerRows = kManyRegisters ? 4 : 2;
+#endif
 
 template <class T>
-void shift_all(const ShiftJob& job, int x, int y, int width, int height, float* E0, std::size_t stride) {
+void shift_all(const ShiftJob& job, int x, int y, int width, int height, float* E0, std::size_t E0_stride) {
+  static thread_local std::vector<const T*> pixels;
+  const std::size_t count = job.taps.size();
+  pixels.resize(count * static_cast<std::size_t>(job.channels));
+  const std::size_t stride = static_cast<std::size_t>(job.taps.empty() ? 0 : job.taps.front().view->width);
+  for (std::size_t i = 0; i < pixels.size(); ++i) {
+    const ShiftTap& tap = job.taps[i % count];
+    pixels[i] = tap.view->plane<T>(static_cast<int>(i / count)) + tap.offset +
+                static_cast<std::ptrdiff_t>(y * stride) + x;
+  }
   int row = 0;
-  for (; row + kRows <= height; row += kRows)
-    shift_rows<T, kRows>(job, x, y + row, width, E0 + row * stride, stride);
-  for (; row + 4 <= height; row += 4) shift_rows<T, 4>(job, x, y + row, width, E0 + row * stride, stride);
-  for (; row + 2 <= height; row += 2) shift_rows<T, 2>(job, x, y + row, width, E0 + row * stride, stride);
-  for (; row < height; ++row) shift_rows<T, 1>(job, x, y + row, width, E0 + row * stride, stride);
+  const auto take = [&]<int R>(std::integral_constant<int, R>) {
+    for (; row + R <= height; row += R) {
+      difference_rows<R>(job, pixels.data(), stride, width, E0 + row * E0_stride, E0_stride);
+      for (const T*& p : pixels) p += R * stride;
+    }
+  };
+  if constexpr (std::is_same_v<T, float>) take(std::integral_constant<int, kRows>());
+  if constexpr (std::is_same_v<T, float>) take(std::integral_constant<int, 4>());
+  if constexpr (!std::is_same_v<T, float>) take(std::integral_constant<int, kIntegerRows>());
+  take(std::integral_constant<int, 2>());
+  take(std::integral_constant<int, 1>());
 }
 
 void ShiftDifference(const ShiftJob& job, int x, int y, int width, int height, float* E0,
@@ -746,13 +825,11 @@ void sum_down(const float* in, std::size_t in_stride, int width, int height, flo
 /// but the sum is written.
 constexpr int kLeastDoubled = 5;
 
-void BoxSum(float* in, std::size_t in_stride, int width, int height, int M_x, int M_y, float* out,
-            std::size_t out_stride, std::vector<float>& scratch) {
-  const int rows = height + 2 * M_y, cols = width + 2 * M_x;
+void SumRows(float* in, std::size_t stride, int width, int height, int M_x, std::vector<float>& scratch) {
   scratch.resize(static_cast<std::size_t>(width) + 64);
   float* sum = scratch.data();
-  for (int y = 0; y < rows; ++y) {
-    float* row = in + static_cast<std::size_t>(y) * in_stride;
+  for (int y = 0; y < height; ++y) {
+    float* row = in + static_cast<std::size_t>(y) * stride;
     if (M_x < kLeastDoubled) {
       sum_row(row, 2 * M_x + 1, row, width);  // writes where it has read already
       continue;
@@ -760,15 +837,19 @@ void BoxSum(float* in, std::size_t in_stride, int width, int height, int M_x, in
     std::fill_n(sum, width, 0.0F);
     by_doubling(
         2 * M_x + 1, [&](int offset) { add_row(row + offset, sum, width); },
-        [&](int have) { add_row(row + have, row, cols - have); });
+        [&](int have) { add_row(row + have, row, width + 2 * M_x - have); });
     std::copy_n(sum, width, row);
   }
+}
+
+void SumColumns(float* in, std::size_t in_stride, int width, int height, int M_y, float* out,
+                std::size_t out_stride) {
   if (M_y == 1) return sum_down<3>(in, in_stride, width, height, out, out_stride);
   if (M_y == 2) return sum_down<5>(in, in_stride, width, height, out, out_stride);
   if (M_y == 3) return sum_down<7>(in, in_stride, width, height, out, out_stride);
   if (M_y == 4) return sum_down<9>(in, in_stride, width, height, out, out_stride);
   for (int y = 0; y < height; ++y) std::fill_n(out + static_cast<std::size_t>(y) * out_stride, width, 0.0F);
-  int have_rows = rows;
+  int have_rows = height + 2 * M_y;
   by_doubling(
       2 * M_y + 1,
       [&](int offset) {
@@ -852,6 +933,9 @@ const char* TargetName() { return hwy::TargetName(HWY_TARGET); }
 
 }  // namespace
 }  // namespace stuv::kernels::HWY_NAMESPACE
+#if HWY_TARGET == HWY_AVX3_DL
+HWY_POP_ATTRIBUTES
+#endif
 HWY_AFTER_NAMESPACE();
 
 #if HWY_ONCE
@@ -861,7 +945,8 @@ HWY_EXPORT(ShiftDifference);
 HWY_EXPORT(WarpDifference);
 HWY_EXPORT(WarpColour);
 HWY_EXPORT(ShiftColour);
-HWY_EXPORT(BoxSum);
+HWY_EXPORT(SumRows);
+HWY_EXPORT(SumColumns);
 HWY_EXPORT(AddPlane);
 HWY_EXPORT(AddPartPlane);
 HWY_EXPORT(TargetName);
@@ -898,9 +983,12 @@ void shift_colour(const ColourJob& job, int x, int y, int width, int height, con
                   std::size_t stride, float* colour, std::size_t plane_size) {
   HWY_DYNAMIC_DISPATCH(ShiftColour)(job, x, y, width, height, plane, stride, colour, plane_size);
 }
-void box_sum(float* in, std::size_t in_stride, int width, int height, int M_x, int M_y, float* out,
-             std::size_t out_stride, std::vector<float>& scratch) {
-  HWY_DYNAMIC_DISPATCH(BoxSum)(in, in_stride, width, height, M_x, M_y, out, out_stride, scratch);
+void sum_rows(float* in, std::size_t stride, int width, int height, int M, std::vector<float>& scratch) {
+  HWY_DYNAMIC_DISPATCH(SumRows)(in, stride, width, height, M, scratch);
+}
+void sum_columns(float* in, std::size_t in_stride, int width, int height, int M, float* out,
+                 std::size_t out_stride) {
+  HWY_DYNAMIC_DISPATCH(SumColumns)(in, in_stride, width, height, M, out, out_stride);
 }
 void add_plane(const MinimumRow& best, int n, int width, const float* sum, const float* inverse, float tie) {
   HWY_DYNAMIC_DISPATCH(AddPlane)(best, n, width, sum, inverse, tie);

@@ -23,12 +23,11 @@ struct PairWeights {
 /// weights are four constants for each difference.
 struct ShiftTap {
   const StoredView* view = nullptr;
-  std::ptrdiff_t offset = 0;  ///< samples from the output pixel's (x, y) to the upper left tap
-  /// One of the weights of a row, which are 16-bit integers: left in the lower, right in the upper half.
-  static constexpr float kFixedUnit = 1.0F / 32768;
-  float ax = 0;  ///< share of the right taps
-  std::int32_t fixed_weights = 0;
-  float w1[2] = {0, 0}, w2[2] = {0, 0};      ///< of the upper and the lower row
+  std::ptrdiff_t offset = 0;             ///< samples from the output pixel's (x, y) to the upper left tap
+  float ax = 0;                          ///< of float pixels: share of the right taps
+  float w1[2] = {0, 0}, w2[2] = {0, 0};  ///< and weights of the upper and the lower row in D_1 and D_2
+  /// Of integer pixels: weights in D_1 and D_2 by row, left in the lower half, right in the upper one.
+  std::int32_t fixed1[2] = {0, 0}, fixed2[2] = {0, 0};
   bool two_rows = true, two_columns = true;  ///< false: the neighbour, of weight 0, may not be there
 };
 
@@ -38,6 +37,8 @@ struct ShiftJob {
   PairWeights a;
   std::vector<ShiftTap> taps;
   std::size_t in_second = 0;  ///< the taps before it have a part in D_2
+  /// Of integer pixels: what one is in the sums of fixed1 and fixed2. The weights of each sum are 0 together.
+  float unit1 = 0, unit2 = 0;
 };
 
 /// Arithmetic that a pixel needs, for the benchmark: multiply-adds, additions and comparisons, each counted
@@ -121,11 +122,16 @@ struct ColourJob {
 void shift_colour(const ColourJob& job, int x, int y, int width, int height, const std::int32_t* plane,
                   std::size_t stride, float* colour, std::size_t plane_size);
 
-/// Sums over windows of (2M + 1)^2, one by one or by doubling: adds only, so nothing cancels or drifts. `in`
-/// has (width + 2M) x (height + 2M) values and is overwritten, up to 64 values behind the end of each row
-/// too; `out` width x height. Strides in values.
-void box_sum(float* in, std::size_t in_stride, int width, int height, int M_x, int M_y, float* out,
-             std::size_t out_stride, std::vector<float>& scratch);
+// Sums over windows of (2M + 1)^2, rows first, one by one or by doubling: adds only, so nothing cancels or
+// drifts. Strides in values.
+
+/// in(x, y) becomes the sum of in(x .. x + 2M, y), x < width; `in` has width + 2M columns, and up to 64
+/// values behind the end of each row are overwritten.
+void sum_rows(float* in, std::size_t stride, int width, int height, int M, std::vector<float>& scratch);
+/// out(x, y) = sum of in(x, y .. y + 2M), y < height; `in` has height + 2M rows and is overwritten, up to 64
+/// values behind the end of each row of both too.
+void sum_columns(float* in, std::size_t in_stride, int width, int height, int M, float* out,
+                 std::size_t out_stride);
 
 /// Equation 7 as planes go by. One row of `width` pixels.
 struct MinimumRow {

@@ -245,14 +245,16 @@ TEST_CASE("tracking: the derivative of refinement agrees with finite differences
 TEST_CASE("tracking: keypoint poses come with wrong matches among the right, the same for one seed") {
   const tracking::Lens lens(plain_camera(640, 480, 700));
   const Pose truth = view_of(0.5, 0.4, 0.3);
-  std::vector<PointMatch> matches;
+  std::vector<KeypointMatch> matches;
   for (int i = 0; i < 40; ++i) {
     const Eigen::Vector3d x(0.1 * hashed(i, 1, 0) - 0.05, 0.1 * hashed(i, 2, 0) - 0.05,
                             0.1 * hashed(i, 3, 0) - 0.05);
     Eigen::Vector2d q;
     REQUIRE(lens.project(truth * x, q));
     if (i % 5 == 0) q = {640 * hashed(i, 4, 0), 480 * hashed(i, 5, 0)};
-    matches.push_back({x, q, 1});
+    KeypointMatch m;
+    m.point = {x, q, 1};
+    matches.push_back(m);
   }
   const std::vector<Hypothesis> drawn = draw_hypotheses(matches, lens, 7),
                                 again = draw_hypotheses(matches, lens, 7);
@@ -264,7 +266,7 @@ TEST_CASE("tracking: keypoint poses come with wrong matches among the right, the
   matches.resize(8);
   CHECK(draw_hypotheses(matches, lens, 7).empty());
   // One point nine times: nothing to draw a pose from, but no failure either.
-  CHECK_NOTHROW(draw_hypotheses(std::vector<PointMatch>(9, matches[1]), lens, 7));
+  CHECK_NOTHROW(draw_hypotheses(std::vector<KeypointMatch>(9, matches[1]), lens, 7));
 }
 
 TEST_CASE(

@@ -85,8 +85,10 @@ struct Scene {
   double texture = 0.35;   ///< contrast of the print
   double cell = 0.011;     ///< [m]
   bool cluttered = false;  ///< the object lies on a calibration grid, among scraps
+  bool grid = true;        ///< false: among scraps only
   double floor_z = 0.06;   ///< of the plane it lies on: object z [m], behind it
   double reach = 1e3;      ///< no point of the object is farther from its origin [m]
+  double gain = 1;         ///< of the exposure
   Eigen::Vector3d light = Eigen::Vector3d(0.4, 0.7, -0.6).normalized();
 };
 
@@ -116,7 +118,7 @@ inline double shade(const Scene& scene, const Eigen::Vector3d& eye, const Eigen:
   if (!(d > 0) || !scene.cluttered) return 0.25;
   const Eigen::Vector3d x = eye + d * ray;
   const int i = static_cast<int>(std::floor(x.x() / 0.02)), j = static_cast<int>(std::floor(x.y() / 0.02));
-  if (std::abs(x.x()) < 0.16 && std::abs(x.y()) < 0.12) return ((i + j) & 1) != 0 ? 0.85 : 0.15;
+  if (scene.grid && std::abs(x.x()) < 0.16 && std::abs(x.y()) < 0.12) return ((i + j) & 1) != 0 ? 0.85 : 0.15;
   return 0.2 + 0.5 * patches({x.x(), x.y(), 0}, 0.03, 5);
 }
 
@@ -146,8 +148,8 @@ inline Grey photograph(const Scene& scene, const Camera& camera, const std::vect
           else
             sum += shade(scene, pose.centre(), pose.R.transpose() * rays[i]);
         }
-      const double level =
-          255 * sum / (4.0 * static_cast<double>(exposure.size())) + noise * (hashed(x, y, seed) - 0.5);
+      const double level = 255 * scene.gain * sum / (4.0 * static_cast<double>(exposure.size())) +
+                           noise * (hashed(x, y, seed) - 0.5);
       grey.at(x, y) = static_cast<std::uint8_t>(std::lround(std::clamp(level, 0.0, 255.0)));
     }
   });

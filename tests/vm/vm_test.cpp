@@ -25,6 +25,7 @@
 #include "capture/v4l2/v4l2_camera.h"
 #include "core/error.h"
 #include "core/image_io.h"
+#include "core/rig.h"
 #include "tests/support/support.h"
 
 using namespace stuv;
@@ -533,8 +534,55 @@ TEST_CASE("vivid: 9 and 16 cameras for 10 s, against v4l2-ctl", "[rig]") {
   if (too_slow) STUV_SKIP("this machine is too slow or too busy: v4l2-ctl itself cannot keep up");
 }
 
+/// The recording FOLDER/rec, rectified with a rig of equal cameras side by side, to a picture: it has vivid's
+/// bars, which all cameras show at the same pixels, as if infinitely far away.
+void check_chain(const fs::path& folder) {
+  const Recording recording = open_recording(folder / "rec");
+  Rig rig;
+  rig.rows = 1;
+  rig.cols = static_cast<int>(recording.cameras.size());
+  rig.s_step_m = {0.1, 0};
+  for (const RecordedCamera& recorded : recording.cameras) {
+    RigCamera camera;
+    camera.camera = {recorded.name, "LENSMODEL_PINHOLE", {300, 300, 159.5, 89.5}, 320, 180, {}};
+    camera.col = recorded.col;
+    camera.camera.cam_from_rig.t.x() = -0.1 * recorded.col;
+    rig.cameras.push_back(camera);
+  }
+  rig.nearest_seen_m = 1;
+  rig.farthest_seen_m = 5;
+  fs::create_directory(folder / "rig");
+  write_rig(folder / "rig", rig);
+  const auto whole = std::find_if(recording.sets.begin(), recording.sets.end(),
+                                  [](const FrameSet& set) { return set.complete(); });
+  REQUIRE(whole != recording.sets.end());
+  for (const std::string& arguments :
+       {fmt::format("rectify {0}/rec --rig {0}/rig -o {0}/scene --set {1}", folder.string(), whole->name),
+        fmt::format("render {0}/scene -o {0}/sharp.png --planes 4 --window 1", folder.string())}) {
+    const ProgramResult result = run_stuv(arguments);
+    CAPTURE(arguments, result.out, result.err);
+    REQUIRE(result.exit_code == 0);
+  }
+  const ImageF picture = to_float(read_image(folder / "sharp.png"));
+  for (const auto& bar : kBars) {
+    int pixels = 0;
+    for (int x = 0; x < picture.width; ++x) {
+      double off = 0;
+      for (int c = 0; c < 3; ++c)
+        off = std::max(off, std::abs(static_cast<double>(picture.at(x, picture.height / 2, c)) - bar[c]));
+      pixels += off < 0.03 ? 1 : 0;
+    }
+    CAPTURE(bar[0], bar[1], bar[2]);
+    CHECK(pixels > 25);
+  }
+}
+
 TEST_CASE("vivid: the program itself lists, checks and records", "[program]") {
   const TempFolder folder;
+  for (const int camera : {0, 1}) {
+    set_control(camera, "test_pattern", 1);
+    set_control(camera, "osd_text_mode", 2);
+  }
   const std::string config = (folder / "rig.toml").string();
   const ProgramResult cameras = run_stuv("cameras -o " + config);
   CHECK(cameras.exit_code == 0);
@@ -553,6 +601,7 @@ TEST_CASE("vivid: the program itself lists, checks and records", "[program]") {
   CHECK(recorded.exit_code == 0);
   CHECK(read_json(folder / "r.json")["report"]["sets"]["complete"].get<int>() > 30);
   CHECK(read_image(folder / "live" / "sheet.jpg").width > 600);
+  check_chain(folder.path());
   // Ctrl-C ends it cleanly.
   const fs::path rec = folder / "rec2";
   const pid_t child = ::fork();
