@@ -18,6 +18,7 @@ namespace fs = std::filesystem;
 namespace {
 
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+constexpr double kSigmaOfOne_px = 0.1;  // deviation of a corner of weight 1
 
 std::vector<std::string> words_of(const std::string& line) {
   std::istringstream in(line);
@@ -140,6 +141,15 @@ std::string picture_path(const Recording& recording, const Frame& frame) {
   return below.string();
 }
 
+/// The file has weights only: one is the inverse of a deviation, of which the solve takes ratios.
+BoardView view_of(const PictureCorners& picture) {
+  BoardView view;
+  view.corners_px = picture.corners_px;
+  for (const double weight : picture.weights)
+    view.sigma_px.push_back(weight > 0 ? kSigmaOfOne_px / weight : kNaN);
+  return view;
+}
+
 }  // namespace
 
 std::vector<PictureCorners> read_corners_vnl(const fs::path& file, int corners) {
@@ -187,13 +197,15 @@ std::vector<FramePlace> places_of(const std::vector<PictureCorners>& pictures, c
 }
 
 std::vector<PictureCorners> picture_corners(const Recording& recording, const FoundCorners& found) {
+  const double usual_sigma_px = median_sigma_px(found);
   std::vector<PictureCorners> pictures;
   for (std::size_t s = 0; s < recording.sets.size(); ++s)
     for (std::size_t c = 0; c < recording.cameras.size(); ++c) {
       const Frame& frame = recording.sets[s].frames[c];
       if (frame.status != FrameStatus::ok) continue;
-      const std::vector<Eigen::Vector2d>& corners = found.corners[s][c];
-      pictures.push_back({picture_path(recording, frame), corners, std::vector<double>(corners.size(), 1)});
+      const BoardView& view = found.views[s][c];
+      pictures.push_back(
+          {picture_path(recording, frame), view.corners_px, corner_weights(view, usual_sigma_px)});
     }
   return pictures;
 }
@@ -203,8 +215,7 @@ FoundCorners read_found_corners(const fs::path& file, const Board& board, const 
   const std::vector<PictureCorners> pictures = read_corners_vnl(file, board.corners());
   const std::vector<FramePlace> places = places_of(pictures, recording, file.string());
   FoundCorners found;
-  found.corners.assign(recording.sets.size(), {});
-  for (auto& set : found.corners) set.resize(recording.cameras.size());
+  found.views.assign(recording.sets.size(), std::vector<BoardView>(recording.cameras.size()));
   found.size_px.assign(recording.cameras.size(), Eigen::Vector2i::Zero());
   unused = 0;
   for (std::size_t i = 0; i < pictures.size(); ++i) {
@@ -216,7 +227,7 @@ FoundCorners read_found_corners(const fs::path& file, const Board& board, const 
     ++found.pictures;
     if (pictures[i].corners_px.empty()) continue;
     ++found.boards;
-    found.corners[set][camera] = pictures[i].corners_px;
+    found.views[set][camera] = view_of(pictures[i]);
     if (!found.size_px[camera].isZero()) continue;
     const ImageInfo info = read_image_info(recording.sets[set].frames[camera].file);
     found.size_px[camera] = {info.width, info.height};
