@@ -37,7 +37,7 @@ std::string move_text(const CameraCheck& camera) {
   return text + (camera.corrected ? ", can be corrected" : "");
 }
 
-void print_summary(const Flags& flags, const RigCheck& check) {
+void print_summary(const Flags& flags, const SceneCheck& check) {
   int ok = 0;
   for (const CameraCheck& camera : check.cameras) ok += camera.status == CheckStatus::ok ? 1 : 0;
   fmt::print("{}: {} of {} cameras stand where {} says\n", flags.recording.string(), ok, check.cameras.size(),
@@ -49,7 +49,7 @@ void print_summary(const Flags& flags, const RigCheck& check) {
   for (const std::string& note : check.notes) fmt::print("note: {}\n", note);
 }
 
-void write_corrected(const Flags& flags, const Rig& rig, const RigCheck& check) {
+void write_corrected(const Flags& flags, const Rig& rig, const SceneCheck& check) {
   Rig corrected = corrected_rig(rig, check);
   corrected.produced_by["corrected_by"] = {{"program", std::string("stuv ") + STUV_VERSION},
                                            {"recording", flags.recording.filename().string()}};
@@ -68,7 +68,7 @@ int run(const Flags& flags) {
   for (const RecordedCamera& camera : recording.cameras)
     if (rig.camera_index(camera.name) < 0)
       reporter.warn(fmt::format("camera {} is not in the rig and is not checked", camera.name));
-  const RigCheck check = check_rig(find_evidence(recording, set, rig, {}, reporter), rig);
+  const SceneCheck check = check_rig(find_evidence(recording, set, rig, {}, reporter), rig);
   if (!flags.output.empty()) write_corrected(flags, rig, check);
   Json result = to_json(check);
   result["set"] = set.name;

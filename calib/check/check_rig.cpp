@@ -44,7 +44,7 @@ class Checker {
     for (int c = 0; c < n_; ++c) out_.cameras[c].name = rig.cameras[c].camera.name;
   }
 
-  RigCheck run() {
+  SceneCheck run() {
     std::vector<bool> trusted(n_, false);
     for (int c = 0; c < n_; ++c)
       trusted[c] = in_.cameras[c].present && !in_.cameras[c].mirrored && rig_.cameras[c].determined;
@@ -489,7 +489,7 @@ class Checker {
   double unit_m_ = 1, spacing_m_ = 1;
   std::vector<std::vector<Sight>> tracks_;
   std::vector<double> pair_px_;
-  RigCheck out_;
+  SceneCheck out_;
 };
 
 /// Centre less its lattice point, and less the plane.
@@ -586,11 +586,11 @@ const char* name_of(CheckStatus status) {
   }
 }
 
-RigCheck check_rig(const SceneEvidence& evidence, const Rig& rig, const CheckOptions& options) {
+SceneCheck check_rig(const SceneEvidence& evidence, const Rig& rig, const CheckOptions& options) {
   return Checker(evidence, rig, options).run();
 }
 
-Rig corrected_rig(const Rig& rig, const RigCheck& check) {
+Rig corrected_rig(const Rig& rig, const SceneCheck& check) {
   Rig result = rig;
   for (std::size_t c = 0; c < rig.cameras.size(); ++c) {
     const CameraCheck& camera = check.cameras[c];
@@ -606,7 +606,7 @@ Rig corrected_rig(const Rig& rig, const RigCheck& check) {
   return result;
 }
 
-Json to_json(const RigCheck& check) {
+Json to_json(const SceneCheck& check) {
   Json cameras = Json::array(), trusted = Json::array();
   for (const CameraCheck& camera : check.cameras) cameras.push_back(to_json(camera));
   for (const int c : check.trusted) trusted.push_back(check.cameras[c].name);

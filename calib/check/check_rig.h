@@ -50,7 +50,7 @@ struct CameraCheck {
   double light = 1;  ///< mean level of its picture over the median of all cameras'
 };
 
-struct RigCheck {
+struct SceneCheck {
   std::vector<CameraCheck> cameras;  ///< in the rig's order
   std::vector<int> trusted;          ///< cameras that agree with each other and with the rig
   bool good = false;
@@ -71,13 +71,13 @@ struct RigCheck {
 ///
 /// A rotation's prior is what boards leave it, the camera's position sigma over the depth that they were seen
 /// at; a position's is its sigma; both twice as variance, for the camera and for those it is compared with.
-RigCheck check_rig(const SceneEvidence& evidence, const Rig& rig, const CheckOptions& options = {});
+SceneCheck check_rig(const SceneEvidence& evidence, const Rig& rig, const CheckOptions& options = {});
 
 /// The rig with all that is corrected put in: lenses, poses, places on the lattice, sigmas.
-Rig corrected_rig(const Rig& rig, const RigCheck& check);
+Rig corrected_rig(const Rig& rig, const SceneCheck& check);
 
 /// As docs/formats.md states it.
 Json to_json(const CameraCheck& check);
-Json to_json(const RigCheck& check);
+Json to_json(const SceneCheck& check);
 
 }  // namespace stuv

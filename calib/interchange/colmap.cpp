@@ -154,36 +154,50 @@ std::vector<Picture> read_pictures(const fs::path& file) {
   return pictures;
 }
 
-/// Poses in the rig with the most sensors, by camera; empty if none has two.
-std::map<int, Pose> read_rigs(const fs::path& file) {
+/// Poses of cameras in a rig, and the one that is its frame.
+struct ColmapRig {
+  int reference = 0;
+  std::map<int, Pose> cam_from_rig;
+};
+
+/// The rig with the most sensors; without cameras if none has two.
+ColmapRig read_rigs(const fs::path& file) {
   std::error_code ec;
-  std::map<int, Pose> best;
+  ColmapRig best;
   if (!fs::exists(file, ec)) return best;
   for (const Line& line : lines_of(file)) {
     if (line.text.find_first_not_of(" \t") == std::string::npos) continue;
     Words words(file, line);
     words.number();
     const int sensors = words.whole();
-    std::map<int, Pose> rig;
+    ColmapRig rig;
     for (int i = 0; i < sensors; ++i) {
       const bool is_camera = words.word() == "CAMERA";
       const int id = words.whole();
       const bool placed = i == 0 || words.whole() != 0;
       const Pose pose = i > 0 && placed ? words.pose() : Pose{};
-      if (is_camera && placed) rig[id] = pose;
+      if (i == 0) rig.reference = id;
+      if (is_camera && placed) rig.cam_from_rig[id] = pose;
     }
-    if (rig.size() > std::max<std::size_t>(1, best.size())) best = rig;
+    if (rig.cam_from_rig.size() > std::max<std::size_t>(1, best.cam_from_rig.size())) best = rig;
   }
   return best;
 }
 
-/// One of each camera of the rig: the first picture that it took.
-std::vector<Picture> pictures_of_rig(const std::vector<Picture>& pictures, const std::map<int, Pose>& rig) {
+/// One of each camera of the rig: the first picture that it took, placed where the rig's frame was in the
+/// first picture of its reference.
+std::vector<Picture> pictures_of_rig(const std::vector<Picture>& pictures, const ColmapRig& rig) {
+  const auto first_of = [&](int camera) {
+    return std::find_if(pictures.begin(), pictures.end(),
+                        [&](const Picture& p) { return p.camera == camera; });
+  };
+  const auto reference = first_of(rig.reference);
+  const Pose rig_from_world = reference == pictures.end() ? Pose{} : reference->cam_from_world;
   std::vector<Picture> result;
-  for (const auto& [id, pose] : rig) {
-    const auto first =
-        std::find_if(pictures.begin(), pictures.end(), [&](const Picture& p) { return p.camera == id; });
-    result.push_back({id, pose, first == pictures.end() ? fmt::format("camera{}", id) : first->name});
+  for (const auto& [id, pose] : rig.cam_from_rig) {
+    const auto first = first_of(id);
+    result.push_back(
+        {id, pose * rig_from_world, first == pictures.end() ? fmt::format("camera{}", id) : first->name});
   }
   return result;
 }
@@ -212,8 +226,8 @@ std::string picture_name(const ListedCamera& c) { return fs::path(c.picture).fil
 
 CameraList read_colmap(const fs::path& folder, LensFits& fits) {
   const std::vector<Picture> all = read_pictures(folder / "images.txt");
-  const std::map<int, Pose> rig = read_rigs(folder / "rigs.txt");
-  const std::vector<Picture> pictures = rig.empty() ? all : pictures_of_rig(all, rig);
+  const ColmapRig rig = read_rigs(folder / "rigs.txt");
+  const std::vector<Picture> pictures = rig.cam_from_rig.empty() ? all : pictures_of_rig(all, rig);
   std::vector<std::string> files;
   for (const Picture& p : pictures) files.push_back(p.name);
   const std::vector<std::string> names = names_from_pictures(files);

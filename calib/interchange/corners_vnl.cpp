@@ -18,6 +18,7 @@ namespace fs = std::filesystem;
 namespace {
 
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+constexpr double kSigmaOfOne_px = 0.1;  // deviation of a corner of weight 1
 
 std::vector<std::string> words_of(const std::string& line) {
   std::istringstream in(line);
@@ -133,14 +134,20 @@ bool ends_with(const fs::path& path, const fs::path& end) {
   return true;
 }
 
-/// Of a corner of weight 1: the file has relative weights only, and so do the uses of sigmas.
-constexpr double kUsualSigmaPx = 0.1;
-
 std::string picture_path(const Recording& recording, const Frame& frame) {
   std::error_code ec;
   const fs::path below = fs::relative(frame.file, recording.folder, ec);
   if (ec || below.empty() || *below.begin() == "..") return frame.file.string();
   return below.string();
+}
+
+/// The file has weights only: one is the inverse of a deviation, of which the solve takes ratios.
+BoardView view_of(const PictureCorners& picture) {
+  BoardView view;
+  view.corners_px = picture.corners_px;
+  for (const double weight : picture.weights)
+    view.sigma_px.push_back(weight > 0 ? kSigmaOfOne_px / weight : kNaN);
+  return view;
 }
 
 }  // namespace
@@ -208,8 +215,7 @@ FoundCorners read_found_corners(const fs::path& file, const Board& board, const 
   const std::vector<PictureCorners> pictures = read_corners_vnl(file, board.corners());
   const std::vector<FramePlace> places = places_of(pictures, recording, file.string());
   FoundCorners found;
-  found.views.assign(recording.sets.size(), {});
-  for (auto& set : found.views) set.resize(recording.cameras.size());
+  found.views.assign(recording.sets.size(), std::vector<BoardView>(recording.cameras.size()));
   found.size_px.assign(recording.cameras.size(), Eigen::Vector2i::Zero());
   unused = 0;
   for (std::size_t i = 0; i < pictures.size(); ++i) {
@@ -221,10 +227,7 @@ FoundCorners read_found_corners(const fs::path& file, const Board& board, const 
     ++found.pictures;
     if (pictures[i].corners_px.empty()) continue;
     ++found.boards;
-    BoardView& view = found.views[set][camera];
-    view.corners_px = pictures[i].corners_px;
-    for (std::size_t k = 0; k < view.corners_px.size(); ++k)
-      view.sigma_px.push_back(view.corners_px[k].allFinite() ? kUsualSigmaPx / pictures[i].weights[k] : NAN);
+    found.views[set][camera] = view_of(pictures[i]);
     if (!found.size_px[camera].isZero()) continue;
     const ImageInfo info = read_image_info(recording.sets[set].frames[camera].file);
     found.size_px[camera] = {info.width, info.height};

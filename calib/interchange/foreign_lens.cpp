@@ -225,11 +225,11 @@ Camera splined_from_fisheye(const FisheyeLens& lens, int width, int height, doub
     return s;
   };
   // The knots span the picture and a little more: u = 2 tan(theta / 2) along the direction of (x, y).
-  const Samples s = sample(2 * kTestColumns);
+  const Samples s = sample(kTestColumns);
   Eigen::Vector2d most = Eigen::Vector2d::Zero();
   for (const Eigen::Vector3d& ray : s.rays)
     most = most.cwiseMax((2 / (1 + ray.z()) * ray.head<2>()).cwiseAbs());
-  constexpr int kColumns = 24;
+  constexpr int kColumns = 20;
   const double fov_x_deg = std::ceil(1.15 * 4 * std::atan(most.x() / 2) * 180 / M_PI);
   const int rows = std::max(6, static_cast<int>(std::ceil(kColumns * most.y() / most.x())) + 2);
   Camera camera;
@@ -262,7 +262,7 @@ Camera splined_from_fisheye(const FisheyeLens& lens, int width, int height, doub
   const Projection project_rays = [&](const std::vector<double>&, const std::vector<Eigen::Vector3d>& rays) {
     return project(camera, rays);
   };
-  worst_px = worst_error(project_rays, {}, sample(kTestColumns));
+  worst_px = worst_error(project_rays, {}, sample(kTestColumns + 18));
   return camera;
 }
 

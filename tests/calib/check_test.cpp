@@ -12,12 +12,12 @@ namespace {
 
 constexpr double kDegree = M_PI / 180;
 
-int count_of(const RigCheck& check, CheckStatus status) {
+int count_of(const SceneCheck& check, CheckStatus status) {
   return static_cast<int>(std::count_if(check.cameras.begin(), check.cameras.end(),
                                         [&](const CameraCheck& c) { return c.status == status; }));
 }
 
-std::string reasons_of(const RigCheck& check) {
+std::string reasons_of(const SceneCheck& check) {
   std::string text;
   for (const std::string& reason : check.reasons) text += reason + "\n";
   return text;
@@ -81,7 +81,7 @@ TEST_CASE("changes that a resection finds are off by what it says") {
     const Eigen::Vector3d turn = 0.5 * kDegree * Eigen::Vector3d(0.6, -0.5, 0.62),
                           shift(0.003, -0.003, 0.0026);
     test::move(cameras[4], turn, shift);
-    const RigCheck check = check_rig(test::evidence_of(cameras, seed), rig);
+    const SceneCheck check = check_rig(test::evidence_of(cameras, seed), rig);
     const CameraCheck& moved = check.cameras[4];
     INFO("seed " << seed << "\n" << reasons_of(check));
     REQUIRE(moved.status == CheckStatus::moved);
@@ -103,7 +103,7 @@ TEST_CASE("no camera of a rig that stands as it did is called moved") {
   for (unsigned seed = 0; seed < 25; ++seed)
     for (const auto& [rows, cols] : {std::pair{3, 3}, {1, 7}, {2, 2}}) {
       const Rig rig = test::true_rig(rows, cols, 10 + seed);
-      const RigCheck check = check_rig(test::evidence_of(test::cameras_in(rig), seed), rig);
+      const SceneCheck check = check_rig(test::evidence_of(test::cameras_in(rig), seed), rig);
       INFO(rows << "x" << cols << " seed " << seed << "\n" << reasons_of(check));
       CHECK(check.good);
       CHECK(count_of(check, CheckStatus::ok) == rows * cols);
@@ -115,7 +115,7 @@ TEST_CASE("a corrected rig is the true one") {
   std::vector<Camera> cameras = test::cameras_in(rig);
   test::move(cameras[2], {0, 0.01, 0}, {0.004, 0.002, 0});
   test::move(cameras[6], {0.3, 0, 0.1}, {0, 0, 0});
-  const RigCheck check = check_rig(test::evidence_of(cameras, 1), rig);
+  const SceneCheck check = check_rig(test::evidence_of(cameras, 1), rig);
   CHECK(check.cameras[2].status == CheckStatus::moved);
   CHECK(check.cameras[6].status == CheckStatus::moved);
   CHECK(count_of(check, CheckStatus::ok) == 5);
@@ -135,7 +135,7 @@ TEST_CASE("swapped and half turned cameras are named, and their rig is put right
   std::vector<Camera> cameras = test::cameras_in(rig);
   std::swap(cameras[1], cameras[5]);
   cameras[6] = *half_turned(cameras[6]);
-  const RigCheck check = check_rig(test::evidence_of(cameras, 3), rig);
+  const SceneCheck check = check_rig(test::evidence_of(cameras, 3), rig);
   INFO(reasons_of(check));
   CHECK(check.cameras[1].status == CheckStatus::swapped_with);
   CHECK(check.cameras[1].partner == "r1c2");
@@ -160,7 +160,7 @@ TEST_CASE("before a far scene a turn is found and a shift is said to be unknown"
   test::move(cameras[4], {0.005, 0, 0}, {0.005, 0, 0});
   test::CheckSceneOptions far;
   far.near_m = 300, far.far_m = 1e6;
-  const RigCheck check = check_rig(test::evidence_of(cameras, 6, far), rig);
+  const SceneCheck check = check_rig(test::evidence_of(cameras, 6, far), rig);
   INFO(reasons_of(check));
   REQUIRE(check.cameras[4].status == CheckStatus::moved);
   CHECK_FALSE(check.cameras[4].shift_known);
@@ -185,14 +185,14 @@ TEST_CASE("what cannot be told is not told") {
   test::CheckSceneOptions many;
   many.points = 1500;
   test::move(cameras[1], {0, 0, 0}, 0.008 * along);
-  const RigCheck three = check_rig(test::evidence_of(cameras, 2, many), rig);
+  const SceneCheck three = check_rig(test::evidence_of(cameras, 2, many), rig);
   INFO(reasons_of(three));
   CHECK(count_of(three, CheckStatus::undetermined) == 3);
   // Of five the rest agrees.
   rig = test::true_rig(1, 5, 9);
   cameras = test::cameras_in(rig);
   test::move(cameras[1], {0, 0, 0}, 0.008 * along);
-  const RigCheck five = check_rig(test::evidence_of(cameras, 2, many), rig);
+  const SceneCheck five = check_rig(test::evidence_of(cameras, 2, many), rig);
   INFO("five: " << reasons_of(five));
   CHECK(five.cameras[1].status == CheckStatus::moved);
   CHECK(count_of(five, CheckStatus::ok) == 4);
@@ -208,7 +208,7 @@ TEST_CASE("what cannot be told is not told") {
   evidence.cameras[8].present = false;
   evidence.cameras[8].problem = "its picture is black";
   rig.cameras[4].determined = false;
-  const RigCheck check = check_rig(evidence, rig);
+  const SceneCheck check = check_rig(evidence, rig);
   CHECK(check.cameras[0].status == CheckStatus::undetermined);
   CHECK_THAT(check.cameras[0].reason, Contains("shares 0 points"));
   CHECK(check.cameras[8].status == CheckStatus::missing);
@@ -224,7 +224,7 @@ TEST_CASE("the verdict does not depend on the unit of length") {
     test::move(cameras[3], {0, 0, 0}, {0, 0.005, 0});
     const SceneEvidence evidence = test::evidence_of(cameras, 4);
     for (RigCamera& rc : rig.cameras) rc.camera.cam_from_rig.t *= scale;
-    const RigCheck check = check_rig(evidence, rig);
+    const SceneCheck check = check_rig(evidence, rig);
     CHECK(check.cameras[3].status == CheckStatus::moved);
     CHECK(check.cameras[3].change->change.tail<3>().norm() == Approx(0.005 * scale).epsilon(0.1));
     CHECK(count_of(check, CheckStatus::ok) == 8);
