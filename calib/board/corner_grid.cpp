@@ -110,6 +110,7 @@ void refine_grid(const CornerImage& image, CornerGrid& grid) {
   CornerGrid refined;
   for (const auto& [place, at] : grid) {
     Eigen::Vector2d step_i, step_j;
+    refined[place] = at;
     if (!steps_at(grid, place.first, place.second, step_i, step_j)) continue;
     const double radius = window_radius(step_i, step_j);
     if (const auto corner = refine_corner(image, at, radius, 0.5 * radius)) refined[place] = *corner;

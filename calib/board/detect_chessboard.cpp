@@ -5,6 +5,7 @@
 #include <cmath>
 #include <limits>
 #include <opencv2/calib3d.hpp>
+#include <optional>
 
 #include "calib/board/corner_grid.h"
 
@@ -185,16 +186,31 @@ void put_in_order(const CornerImage& image, const Board& board, std::vector<Eige
     std::reverse(corners.begin(), corners.end());
 }
 
-/// The grid's corners refined, grown and laid on the board; empty if that cannot be done for certain.
+/// The way to lay a grid that has the board's own size; nothing if it has another.
+std::optional<Placement> whole_placement(const CornerGrid& grid, const Board& board) {
+  if (grid.size() != static_cast<std::size_t>(board.corners())) return std::nullopt;
+  const Extent extent(grid);
+  for (int x_axis = 0; x_axis < 2; ++x_axis)
+    if (extent.count(x_axis) == board.columns && extent.count(1 - x_axis) == board.rows)
+      return Placement{x_axis, {0, 0}};
+  return std::nullopt;
+}
+
+/// The grid's corners refined, grown where it is not the whole board, and laid on it; empty if that cannot be
+/// done for certain.
 std::vector<Eigen::Vector2d> board_from_grid(const CornerImage& image, CornerGrid grid, const Board& board) {
   if (grid.empty()) return {};
   refine_grid(image, grid);
-  fill_skipped(image, grid);
-  const SquareColours colours = square_colours(image, grid);
-  grow_grid(image, colours, std::max(board.columns, board.rows), grid);
-  const std::vector<Placement> ways = placements(image, colours, grid, board);
-  if (ways.size() != 1) return {};
-  std::vector<Eigen::Vector2d> corners = lay_out(grid, ways.front(), board);
+  std::optional<Placement> placement = whole_placement(grid, board);
+  if (!placement) {
+    fill_skipped(image, grid);
+    const SquareColours colours = square_colours(image, grid);
+    grow_grid(image, colours, std::max(board.columns, board.rows), grid);
+    const std::vector<Placement> ways = placements(image, colours, grid, board);
+    if (ways.size() != 1) return {};
+    placement = ways.front();
+  }
+  std::vector<Eigen::Vector2d> corners = lay_out(grid, *placement, board);
   put_in_order(image, board, corners);
   return corners;
 }
