@@ -23,6 +23,8 @@ constexpr double kCutSigmas = 3;
 /// A match that several detectors or scales found is right more often: it counts as often as it is given, up
 /// to this.
 constexpr double kMostCounted = 4;
+/// Runs of the search in all; the later ones of so many samples each, at the threshold, a half and a quarter
+/// of it.
 constexpr int kRivalRuns = 6, kRivalSamples = 300;
 /// Noise below this part of the radius (0.01 px in a picture of 800) is taken for this much: whether matches
 /// determine F must not hang on their being exact.

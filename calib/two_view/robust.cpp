@@ -37,10 +37,6 @@ struct Arranged {
   Matrix3d fundamental_to_px(const Matrix3d& F) const {
     return unit_scale(Tb.matrix().transpose() * F * Ta.matrix());
   }
-  Matrix3d fundamental_from_px(const Matrix3d& F) const {
-    const Matrix3d n = Tb.matrix().transpose().inverse() * F * Ta.matrix().inverse();
-    return n / n.norm();
-  }
   Matrix3d homography_to_px(const Matrix3d& H) const {
     return unit_scale(Tb.matrix().inverse() * H * Ta.matrix());
   }
@@ -259,12 +255,6 @@ RansacResult<Matrix3d> plane_and_parallax(std::span<const Match> matches, const 
   auto result = polish(in, found.model);
   result.samples = found.samples;
   return result;
-}
-
-RansacResult<Matrix3d> polish_fundamental(std::span<const Match> matches, const Matrix3d& F,
-                                          double threshold_px) {
-  const Arranged in(matches, threshold_px);
-  return polish(in, in.fundamental_from_px(F));
 }
 
 std::optional<Matrix3d> homography_of(std::span<const Match> matches, std::span<const double> weights) {

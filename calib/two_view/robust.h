@@ -31,8 +31,4 @@ RansacResult<Eigen::Matrix3d> plane_and_parallax(std::span<const Match> matches,
                                                  std::span<const int> off_plane,
                                                  const RansacOptions& options);
 
-/// The cost's local optimisation, run until it stands still: F, its support over all matches.
-RansacResult<Eigen::Matrix3d> polish_fundamental(std::span<const Match> matches, const Eigen::Matrix3d& F,
-                                                 double threshold_px);
-
 }  // namespace stuv

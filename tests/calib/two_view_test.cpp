@@ -404,10 +404,8 @@ TEST_CASE("all points on a conic through the epipoles, or on a line: F is free, 
       line.push_back(seen({x, 150 + 0.3 * x}));
     }
     INFO("seed " << seed);
-    for (const Matches& m : {conic, line}) {
-      const TwoViewEstimate found = estimate(m, seed);
-      if (found.status == TwoViewStatus::ok) CHECK(median_line_distance(found.ml.F, s.truth) < 3);
-    }
+    CHECK(estimate(conic, seed).status == TwoViewStatus::undetermined);
+    CHECK(estimate(line, seed).status == TwoViewStatus::undetermined);
   }
 }
 
