@@ -94,11 +94,15 @@ Eigen::MatrixXd bundle_covariance(const std::vector<LinearObservation>& observat
   if (!(pivots.minCoeff() > 1e-13 * pivots.maxCoeff())) return {};
   Eigen::MatrixXd inverse = solver.solve(Eigen::MatrixXd::Identity(columns, columns));
   inverse -= G * (G.transpose() * inverse);
+  // Residuals are smaller than errors by what the parameters took up.
+  const double residuals = 2.0 * static_cast<double>(observations.size()),
+               taken = 3.0 * static_cast<double>(points.size()) + columns - static_cast<double>(free.cols());
+  if (!(residuals > taken)) return {};
   // The difference of the clusterings may leave a direction below zero by little.
   const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(M);
   const Eigen::MatrixXd root =
       inverse * eigen.eigenvectors() * eigen.eigenvalues().cwiseMax(0).cwiseSqrt().asDiagonal();
-  return root * root.transpose();
+  return residuals / (residuals - taken) * root * root.transpose();
 }
 
 }  // namespace stuv

@@ -18,7 +18,7 @@ struct LinearObservation {
 
 /// Covariance of the cameras' parameters, points eliminated:
 ///
-///   C = S^-1 M S^-1,   S = J_c^T J_c - W V^-1 W^T,   M = sum_points g g^T + sum_parts g g^T -
+///   C = n / (n - p) S^-1 M S^-1,   S = J_c^T J_c - W V^-1 W^T,   M = sum_points g g^T + sum_parts g g^T -
 ///   sum_observations g g^T
 ///
 /// V, W: the points' blocks of J^T J and their coupling with the cameras; g: what an observation, or all of a
@@ -26,9 +26,9 @@ struct LinearObservation {
 /// are alike, and so are those of neighbouring features, which (J^T J)^-1 does not know (the sandwich with
 /// two clusterings: Cameron, Gelbach, Miller, J. Business & Economic Statistics 29(2), 2011).
 ///
-/// `free` (columns x k): directions that the observations leave free (the gauge); C is 0 along them. Empty if
-/// S is singular beyond that: some camera is not determined. `columns`: of all cameras' parameters together;
-/// observations of one camera have equal `column`.
+/// n residuals, p parameters. `free` (columns x k): directions that the observations leave free (the gauge);
+/// C is 0 along them. Empty if S is singular beyond that: some camera is not determined. `columns`: of all
+/// cameras' parameters together; observations of one camera have equal `column`.
 Eigen::MatrixXd bundle_covariance(const std::vector<LinearObservation>& observations, int columns,
                                   const Eigen::MatrixXd& free);
 

@@ -235,7 +235,7 @@ void note_depths(std::vector<Eigen::Vector3d> points, Calibration& c) {
 /// Covariance of the chosen frames' centres after rigid alignment, in the rig's frame: of the adjustment
 /// after alignment by a similarity, and of the scale, which makes all centres go apart together.
 void note_uncertainty(const LatticeChoice& lattice, const Adjusted& a, Rig& rig, const Layout& layout) {
-  if (a.centre_covariance.size() == 0) return;
+  if (a.centre_covariance.size() == 0 || !std::isfinite(a.scale_sigma)) return;
   const auto n = static_cast<Eigen::Index>(lattice.frames.size());
   std::vector<Eigen::Vector3d> centres;
   Eigen::Vector3d mean = Eigen::Vector3d::Zero();
@@ -332,7 +332,8 @@ void judge(const Adjusted& a, const MovingOptions& options, bool scaled, int sli
     c.notes.push_back(
         fmt::format("{} of {} tracked poses do not fit the pictures and were moved", slipped, count));
   if (c.rig.centre_covariance_m2.size() == 0)
-    c.reasons.push_back("how certain the places are cannot be determined: frames share too few points");
+    c.reasons.push_back(
+        "how certain the places are cannot be determined: too few frames, or points that they share");
   else if (std::isfinite(a.scale_sigma))
     c.notes.push_back(
         fmt::format("scale is that of the tracked poses, certain to {:.2g} %", 100 * a.scale_sigma));

@@ -28,17 +28,12 @@ struct MovingOptions {
 /// A rig from the frames of one moving camera.
 ///
 /// Matches SIFT keypoints between each frame and the frames nearest to it, and adjusts poses and points
-/// together,
-///
-///   minimise sum rho(f |pi(R_i X_j + t_i) - pi(ray_ij)|^2) + sum rho'(|pose_i - tracked pose_i|^2 /
-///   sigma^2),
-///
-/// rho Huber's at 1 px, rho' Cauchy's (a slip of the tracker pulls little), the lens kept as it is; the
-/// priors (`prior_part` of the sweep's extent, 0.05 rad) hold the seven freedoms of such a problem where the
-/// tracked object put them; scale and place are then set anew by the medians of the tracked centres. Then
-/// chooses the frames that make the largest lattice (of those whose points are filled to `least_filled` by
-/// frames within `most_off_lattice`; every frame, if all stand on one) and fits plane and lattice
-/// (fit_layout). The rig holds the chosen frames only. Not good, with reasons, if there are too few matches
+/// together (moving_adjust.h), the lens kept as it is, tracked poses as priors of `prior_part` of the sweep's
+/// extent; scale and place are those of the tracked poses. Then chooses, among the frames that share a dozen
+/// points with others, those that make the largest lattice (of those whose points are filled to
+/// `least_filled` by frames within `most_off_lattice`; every frame, if all stand on one) and fits plane and
+/// lattice (fit_layout). The rig holds the chosen frames only, with the covariance of their centres after
+/// rigid alignment: of the adjustment, and of the scale. Not good, with reasons, if there are too few matches
 /// or residuals are large. Throws Error with fewer than 2 frames, if a picture cannot be read, or if no
 /// lattice can be chosen.
 Calibration calibrate_moving(const std::vector<MovingFrame>& frames, const Camera& camera,
