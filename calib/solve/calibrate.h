@@ -24,7 +24,7 @@ struct CalibrationOptions {
   double most_rms_px = 0.5;        ///< beyond it the verdict is not good
   double most_sigma = 0.1;         ///< of a centre in spacings: beyond it a camera is not determined
   double most_focal_sigma = 0.02;  ///< of a focal length, relative: the same
-  double most_projection_px = 5;   ///< one sigma, rms over the picture at the boards' distance: the same
+  double most_projection_px = 5;   ///< one sigma, median over the picture at the boards' distance: the same
   double most_ghosting_px = 0.5;   ///< at the depths boards were seen at; beyond it a note
   double least_coverage = 0.05;    ///< part of its picture that a camera's corners must span
 };

@@ -21,7 +21,8 @@ std::string lens_name(Lens lens, const Eigen::Vector2i& size_px, double focal_px
   if (lens == Lens::opencv8) return "LENSMODEL_OPENCV8";
   // Cubic splines over a tenth more than the field of view, knots square in the picture.
   const double half_rad = std::min(0.9 * M_PI, 1.1 * 2 * std::atan(0.25 * size_px.x() / focal_px));
-  const int nx = 11;
+  // No fewer than one in ten degrees: equidistant lenses are not stereographic, and the splines have to bend.
+  const int nx = std::max(11, static_cast<int>(std::lround(2 * half_rad * 18 / M_PI)));
   const int ny = std::max(5, static_cast<int>(std::lround(nx * size_px.y() / double(size_px.x()))));
   return fmt::format("LENSMODEL_SPLINED_STEREOGRAPHIC_order=3_Nx={}_Ny={}_fov_x_deg={}", nx, ny,
                      std::lround(2 * half_rad * 180 / M_PI));
@@ -77,18 +78,19 @@ bool reject_outliers(MrcalProblem& problem, const Linearisation& l) {
   return true;
 }
 
-/// Divides each camera's weights by the deviation of its residuals, robustly, where they differ enough for
-/// it to matter; returns whether.
+/// Weighs each camera's corners by the deviation of its residuals, robustly, where they differ enough for it
+/// to matter, and else all alike; returns whether that changed anything.
 bool reweight_cameras(MrcalProblem& problem, const Linearisation& l, int cameras) {
   constexpr double kWorth = 1.25;
   std::vector<std::vector<double>> sizes(cameras);
-  for (std::size_t i = 0; i < problem.corners(); ++i)
-    if (problem.weight(i) > 0)
-      for (const double x : {l.x[2 * i], l.x[2 * i + 1]})
-        sizes[problem.camera_of(i)].push_back(std::abs(x) / kMadOfSigma);
-  std::vector<double> sigma;
+  for (std::size_t i = 0; i < problem.corners(); ++i) {
+    if (problem.weight(i) <= 0) continue;
+    const int c = problem.camera_of(i);
+    for (const double x : {l.x[2 * i], l.x[2 * i + 1]})
+      sizes[c].push_back(std::abs(x) / (kMadOfSigma * problem.camera_weight(c)));
+  }
+  std::vector<double> sigma, sorted;
   for (auto& s : sizes) sigma.push_back(median(s));
-  std::vector<double> sorted;
   for (const double s : sigma)
     if (std::isfinite(s)) sorted.push_back(s);
   const double usual = median(sorted);
@@ -98,13 +100,16 @@ bool reweight_cameras(MrcalProblem& problem, const Linearisation& l, int cameras
     const double slack = 1 + 4 / std::sqrt(1.0 + static_cast<double>(sizes[c].size()));
     return sigma[c] > kWorth * slack * usual || sigma[c] * kWorth * slack < usual;
   };
-  bool any = false;
+  bool any = false, changed = false;
   for (int c = 0; c < cameras; ++c) any = any || differs(c);
-  if (!any) return false;
-  for (int c = 0; c < cameras; ++c)
-    if (sizes[c].size() > 100 || differs(c))
-      problem.scale_weights(c, usual / std::max(0.1 * usual, sigma[c]));
-  return true;
+  for (int c = 0; c < cameras; ++c) {
+    const bool own = any && (sizes[c].size() > 100 || differs(c));
+    const double factor = (own ? usual / std::max(0.1 * usual, sigma[c]) : 1) / problem.camera_weight(c);
+    if (!(std::abs(factor - 1) > 0.01)) continue;
+    problem.scale_weights(c, factor);
+    changed = true;
+  }
+  return changed;
 }
 
 /// mrcal wants observations in the order of their sets.

@@ -79,10 +79,16 @@ void note_loose_lenses(Calibration& c, double noise, const CalibrationOptions& o
       continue;
     }
     if (s.camera_covariance.size() == 0) continue;
-    const double px = projection_map(s, static_cast<int>(i), distance / count).rms_px * noise / s.noise_px;
+    // The median: corners of the picture that no lens reaches or no board was in say nothing about the rest.
+    std::vector<double> sigma = projection_map(s, static_cast<int>(i), distance / count).sigma_px;
+    for (double& v : sigma)
+      if (!std::isfinite(v)) v = std::numeric_limits<double>::infinity();
+    std::nth_element(sigma.begin(), sigma.begin() + static_cast<long>(sigma.size() / 2), sigma.end());
+    const double px = sigma[sigma.size() / 2] * noise / s.noise_px;
     if (!(px < options.most_projection_px))
-      summary.undetermined = fmt::format("a point at {:.2f} m is placed in its picture to {:.1f} px only: {}",
-                                         distance / count, px, boards_text(summary));
+      summary.undetermined =
+          fmt::format("points at {:.2f} m are placed in half of its picture to {:.1f} px only: {}",
+                      distance / count, px, boards_text(summary));
   }
 }
 

@@ -208,7 +208,7 @@ TEST_CASE("a camera out of focus weighs less and is named") {
   INFO(all_of(c));
   CHECK(c.cameras[4].noise_px == Approx(1.5).epsilon(0.1));
   CHECK(c.cameras[0].noise_px == Approx(0.1).epsilon(0.1));
-  CHECK(has(c.notes, "camera r1c0's corners are noisier"));
+  CHECK(has(c.notes, "camera r1c1's corners are noisier"));
   const auto errors = aligned_errors(c.rig, scene.truth);
   for (std::size_t i = 0; i < errors.size(); ++i)
     for (int k = 0; k < 3; ++k) CHECK(std::abs(errors[i][k]) < 4 * c.rig.cameras[i].position_sigma_m[k]);
