@@ -337,6 +337,9 @@ void judge(const Adjusted& a, const MovingOptions& options, bool scaled, int sli
   else if (std::isfinite(a.scale_sigma))
     c.notes.push_back(
         fmt::format("scale is that of the tracked poses, certain to {:.2g} %", 100 * a.scale_sigma));
+  if (c.rig.centre_covariance_m2.size() != 0)
+    c.notes.emplace_back(
+        "the sigmas of the places are stated, but have not been shown to be true: they may be too small");
   c.good = c.reasons.empty();
 }
 

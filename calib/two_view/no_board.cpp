@@ -349,7 +349,11 @@ Calibration calibrate_without_board(const SfmProblem& problem, const Recording& 
     rig.farthest_seen_m = std::max(0.0, depths[depths.size() - 1 - depths.size() / 100]);
   }
   judge(s, {}, c);
-  if (!problem.focal_known)
+  if (problem.focal_known)
+    c.notes.emplace_back(
+        "the sigmas of the places take the lenses as exact: with lenses that are uncertain they are too "
+        "small");
+  else
     c.notes.push_back(
         fmt::format("one focal length for all: {:.1f} +- {:.1f} px", s.focal_px, s.focal_sigma_px));
   return c;

@@ -259,9 +259,12 @@ void shift_all(const ShiftJob& job, int x, int y, int width, int height, float* 
       for (const T*& p : pixels) p += R * stride;
     }
   };
-  if constexpr (std::is_same_v<T, float>) take(std::integral_constant<int, kRows>());
-  if constexpr (std::is_same_v<T, float>) take(std::integral_constant<int, 4>());
-  if constexpr (!std::is_same_v<T, float>) take(std::integral_constant<int, kIntegerRows>());
+  if constexpr (std::is_same_v<T, float>) {
+    take(std::integral_constant<int, kRows>());
+    take(std::integral_constant<int, 4>());
+  } else {
+    take(std::integral_constant<int, kIntegerRows>());
+  }
   take(std::integral_constant<int, 2>());
   take(std::integral_constant<int, 1>());
 }
