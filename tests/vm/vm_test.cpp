@@ -582,6 +582,7 @@ TEST_CASE("vivid: the program itself lists, checks and records", "[program]") {
   for (const int camera : {0, 1}) {
     set_control(camera, "test_pattern", 1);
     set_control(camera, "osd_text_mode", 2);
+    set_control(camera, "brightness", 128);  // the default; another case changes it
   }
   const std::string config = (folder / "rig.toml").string();
   const ProgramResult cameras = run_stuv("cameras -o " + config);
