@@ -6,12 +6,16 @@
 #include "app/commands.h"
 #include "app/console.h"
 #include "calib/board/find_corners.h"
+#include "calib/board/overlay.h"
+#include "calib/interchange/corners_vnl.h"
+#include "calib/photometry/board_samples.h"
 #include "calib/solve/report.h"
 #include "calib/tracking/moving_rig.h"
 #include "calib/tracking/sequence.h"
 #include "calib/two_view/no_board.h"
 #include "core/error.h"
 #include "core/files.h"
+#include "core/image_io.h"
 #include "core/rig.h"
 
 namespace stuv {
@@ -20,11 +24,12 @@ namespace {
 struct Flags : CommonFlags {
   std::filesystem::path recording, output;
   std::string board, moving, camera;
+  std::filesystem::path overlay;
   Lens lens = Lens::opencv4;
   std::string distance;
-  std::filesystem::path lenses;
+  std::filesystem::path lenses, corners;
   double spacing_m = 0;
-  bool complete = false, no_board = false;
+  bool complete = false, no_board = false, shared_lens = false;
 };
 
 using Clock = std::chrono::steady_clock;
@@ -42,18 +47,56 @@ Board choose_board(const Flags& flags, const Recording& recording) {
               "name it: --board chessboard:28x17:20mm (inner corners, square size)");
 }
 
+/// --corners: what somebody found already.
+FoundCorners corners_from_file(const Flags& flags, const Board& board, const Recording& recording,
+                               const Reporter& reporter) {
+  int unused = 0;
+  FoundCorners found = read_found_corners(flags.corners, board, recording, unused);
+  if (unused > 0)
+    reporter.warn(fmt::format("{}: {} of its pictures are not in the recording and are left out",
+                              flags.corners.string(), unused));
+  return found;
+}
+
 Observations observations_of(const Recording& recording, const Board& board, FoundCorners found) {
+  const double usual_sigma_px = median_sigma_px(found);
   Observations in;
   in.board = board;
   in.size_px = std::move(found.size_px);
   for (const RecordedCamera& camera : recording.cameras) in.camera_names.push_back(camera.name);
   for (std::size_t s = 0; s < recording.sets.size(); ++s) {
     in.set_names.push_back(recording.sets[s].name);
-    for (std::size_t c = 0; c < recording.cameras.size(); ++c)
-      if (!found.corners[s][c].empty())
-        in.boards.push_back({static_cast<int>(c), static_cast<int>(s), std::move(found.corners[s][c]), {}});
+    for (std::size_t c = 0; c < recording.cameras.size(); ++c) {
+      BoardView& view = found.views[s][c];
+      if (view.empty()) continue;
+      std::vector<double> weights = corner_weights(view, usual_sigma_px);
+      in.boards.push_back(
+          {static_cast<int>(c), static_cast<int>(s), std::move(view.corners_px), std::move(weights)});
+    }
   }
   return in;
+}
+
+/// The pictures in which a board was found, with its corners drawn.
+void write_overlays(const Flags& flags, const Recording& recording, const Board& board,
+                    const FoundCorners& found, const Reporter& reporter) {
+  AtomicOutput output(flags.overlay, AtomicOutput::Kind::folder, flags.force);
+  const double usual_sigma_px = median_sigma_px(found);
+  Json names = Json::array();
+  for (std::size_t s = 0; s < recording.sets.size(); ++s) {
+    reporter.at("drawing corners", s, recording.sets.size());
+    for (std::size_t c = 0; c < recording.cameras.size(); ++c) {
+      const BoardView& view = found.views[s][c];
+      if (view.empty()) continue;
+      const std::string name = recording.sets[s].name + "_" + recording.cameras[c].name + ".png";
+      const Image picture = read_image(recording.sets[s].frames[c].file);
+      write_image(output.path() / name, draw_board_overlay(picture, board, view, usual_sigma_px));
+      names.push_back(name);
+    }
+  }
+  write_json(output.path() / "overlay.json",
+             {{"format", "stuv.overlay"}, {"version", 1}, {"pictures", names}});
+  output.commit();
 }
 
 const char* name_of(Lens lens) {
@@ -64,10 +107,13 @@ const char* name_of(Lens lens) {
 Json produced_by(const Flags& flags, const Recording& recording, const Calibration& c) {
   return {{"program", std::string("stuv ") + STUV_VERSION},
           {"board", board_spec(c.observations.board)},
-          {"lens", name_of(flags.lens)},
+          {"lens", flags.lenses.empty() ? name_of(flags.lens) : "held"},
+          {"lenses", !flags.lenses.empty() ? flags.lenses.string()
+                     : flags.shared_lens   ? "one for all"
+                                           : "one a camera"},
           {"sets", recording.sets.size()},
           {"boards", c.observations.boards.size()},
-          {"detector", "OpenCV findChessboardCornersSB"},
+          {"detector", fmt::format("stuv {}, OpenCV", kDetectorVersion)},
           {"solver", "mrcal"}};
 }
 
@@ -97,6 +143,17 @@ NoBoardOptions no_board_options(const Flags& flags) {
   return options;
 }
 
+CalibrationOptions calibration_options(const Flags& flags) {
+  CalibrationOptions options;
+  options.solve.lens = flags.lens;
+  options.solve.shared_lens = flags.shared_lens;
+  if (flags.lenses.empty()) return options;
+  if (flags.shared_lens) throw UsageError("--shared-lens and --lenses exclude each other");
+  for (const RigCamera& rc : read_rig(flags.lenses).cameras)
+    if (rc.determined) options.solve.known.push_back(rc.camera);
+  return options;
+}
+
 void print_summary(const Flags& flags, const Calibration& c) {
   const auto step = [](const Eigen::Vector2d& v) {
     return v.norm() > 0 ? fmt::format("{:.2f}", 1e3 * v.norm()) : "-";
@@ -111,17 +168,21 @@ void print_summary(const Flags& flags, const Calibration& c) {
   fmt::print("verdict: {}\n", c.good ? "good" : "not good");
   for (const std::string& reason : c.reasons) fmt::print("  {}\n", reason);
   for (const std::string& note : c.notes) fmt::print("note: {}\n", note);
+  for (const std::string& next : c.advice) fmt::print("next: {}\n", next);
 }
 
-int write_rig_and_report(const Flags& flags, const Calibration& c, double seconds, double seconds_corners) {
+int write_rig_and_report(const Flags& flags, const Calibration& c, double seconds, double seconds_corners,
+                         const Photometry* photometry = nullptr) {
   AtomicOutput output(flags.output, AtomicOutput::Kind::folder, flags.force);
   write_rig(output.path(), c.rig);
   const Json report = report_json(c, seconds, seconds_corners);
   write_json(output.path() / "report.json", report);
   write_text(output.path() / "report.html", report_page(c));
+  if (photometry != nullptr) write_photometry(output.path(), *photometry);
   output.commit();
   write_result(flags, report);
   print_summary(flags, c);
+  if (photometry != nullptr) fmt::print("{}\n", summary_of(*photometry));
   return c.good ? kDone : kVerdictNotGood;
 }
 
@@ -173,29 +234,35 @@ int run_moving(const Flags& flags) {
 }
 
 int run(const Flags& flags) {
+  if (!flags.corners.empty() && (flags.no_board || !flags.moving.empty()))
+    throw UsageError("--corners is for boards: leave --no-board and --moving away");
   if (!flags.moving.empty() && (flags.no_board || !flags.board.empty()))
     throw UsageError("--moving, --no-board and --board exclude each other");
   if (!flags.moving.empty()) return run_moving(flags);
   const auto begin = Clock::now();
   check_output(flags.output, flags.force);
+  if (!flags.overlay.empty()) check_output(flags.overlay, flags.force);
   const Recording recording = open_recording(flags.recording);
   if (flags.complete) require_complete(recording);
   const Reporter reporter = console_reporter();
   if (flags.no_board) return run_without_board(flags, recording, reporter);
+  const CalibrationOptions options = calibration_options(flags);
   const Board board = choose_board(flags, recording);
-  FoundCorners found = find_corners(recording, board, reporter);
+  FoundCorners found = flags.corners.empty() ? find_corners(recording, board, reporter)
+                                             : corners_from_file(flags, board, recording, reporter);
   const double seconds_corners = seconds_since(begin);
+  if (!flags.overlay.empty()) write_overlays(flags, recording, board, found, reporter);
   if (found.boards == 0)
     throw Error(flags.recording.string(),
                 fmt::format("board {} is seen in none of {} pictures", board_spec(board), found.pictures),
-                "check its inner corners COLSxROWS, light and focus");
+                board.kind == Board::Kind::chessboard ? "check its inner corners COLSxROWS, light and focus"
+                                                      : "check its markers, light and focus");
 
-  CalibrationOptions options;
-  options.solve.lens = flags.lens;
   Calibration c =
       calibrate(observations_of(recording, board, std::move(found)), recording, options, reporter);
   c.rig.produced_by = produced_by(flags, recording, c);
-  return write_rig_and_report(flags, c, seconds_since(begin), seconds_corners);
+  const Photometry photometry = photometry_from_boards(recording, c.observations, c.rig, reporter);
+  return write_rig_and_report(flags, c, seconds_since(begin), seconds_corners, &photometry);
 }
 
 }  // namespace
@@ -213,18 +280,30 @@ void add_calibrate_command(CLI::App& app, Action& action) {
   command->add_option("recording", flags->recording, "The recording's folder")->required()->type_name("REC");
   command->add_option("-o,--output", flags->output, "The rig's folder")->required()->type_name("RIG");
   command
-      ->add_option("--board", flags->board,
-                   "chessboard:COLSxROWS:SIZE, inner corners and square size [what the recording says]")
+      ->add_option(
+          "--board", flags->board,
+          "chessboard:COLSxROWS:SQUARE (inner corners), "
+          "charuco:COLSxROWS:SQUARE:MARKER:DICT[:inverted][:legacy] (squares), "
+          "aprilgrid:COLSxROWS:TAG:GAP (tags; gap in tags or with its unit), or Kalibr's target .yaml "
+          "[what the recording says]; `stuv board` prints them")
       ->type_name("BOARD");
+  command->add_option("--overlay", flags->overlay, "Folder for the pictures with the corners found drawn")
+      ->type_name("DIR");
+  command
+      ->add_option("--corners", flags->corners,
+                   "Solve from the corners in mrcal's corners.vnl instead of looking for boards")
+      ->type_name("FILE");
   const std::map<std::string, Lens> lenses = {
       {"opencv4", Lens::opencv4}, {"opencv8", Lens::opencv8}, {"splined", Lens::splined}};
   command->add_option("--lens", flags->lens, "opencv4, opencv8 or splined [opencv4]")
       ->transform(CLI::CheckedTransformer(lenses))
       ->type_name("LENS");
+  command->add_flag("--shared-lens", flags->shared_lens,
+                    "One lens for all cameras, where they are identical");
   command->add_flag("--no-board", flags->no_board, "Solve from the scene: features that several cameras see");
   command
       ->add_option("--lenses", flags->lenses,
-                   "With --no-board: rig whose lenses these are [one shared focal length]")
+                   "Rig whose lenses are held [solved; with --no-board one shared focal length]")
       ->type_name("RIG");
   command->add_option("--spacing-m", flags->spacing_m,
                       "With --no-board: scale by the lattice's spacing along s [m]");

@@ -8,6 +8,7 @@
 
 #include "app/commands.h"
 #include "app/console.h"
+#include "calib/board/pattern.h"
 #include "capture/cameras/check.h"
 #include "capture/cameras/live_view.h"
 #include "capture/capture.h"
@@ -21,6 +22,7 @@ struct Flags : CommonFlags {
   std::filesystem::path config, output;
   std::string pattern, grid;
   std::size_t sets = 0;
+  int every = 1;
   double seconds = 0;
   std::filesystem::path preview, sysfs = "/sys";
   bool check = false, copy = false, complete = false;
@@ -47,7 +49,21 @@ void check_usage(const Flags& flags) {
   if (!files && !flags.grid.empty())
     throw UsageError("--grid belongs to --files; a config has its own rows and cols");
   if (files && flags.pattern.find("{camera}") == std::string::npos)
-    throw UsageError("--files wants a pattern with {camera}, and {set} where there are several sets");
+    throw UsageError(
+        "--files wants a pattern with {camera}, and {set} where there are several sets of pictures");
+}
+
+/// The synthetic rig draws what it is given: its board, if it is no chessboard, comes from here.
+void give_pattern(synthetic::BoardOptions& options) {
+  if (options.spec.empty()) return;
+  const Board board = parse_board(options.spec);
+  options.spec = board_spec(board);
+  options.columns = board.columns;
+  options.rows = board.rows;
+  options.square_m = board.square_m;
+  if (board.kind == Board::Kind::chessboard) return;
+  options.pattern = std::make_shared<synthetic::BoardPattern>(
+      synthetic::BoardPattern{dark_areas(board), board_outline(board), board.inverted});
 }
 
 CaptureConfig config_of(const Flags& flags) {
@@ -57,9 +73,11 @@ CaptureConfig config_of(const Flags& flags) {
     if (auto* files = std::get_if<FilesOptions>(&config)) {
       files->copy |= flags.copy;
       files->complete |= flags.complete;
-    } else if (flags.copy) {
-      throw UsageError("--copy belongs to files, and this config is of another kind");
+      if (flags.every > 1) files->every = flags.every;
+    } else if (flags.copy || flags.every > 1) {
+      throw UsageError("--copy and --every belong to files, and this config is of another kind");
     }
+    if (auto* synthetic = std::get_if<synthetic::SyntheticOptions>(&config)) give_pattern(synthetic->board);
     if (auto* cameras = std::get_if<CameraSourceOptions>(&config)) {
       if (flags.seconds > 0) cameras->duration_s = flags.seconds;
     } else if (flags.seconds > 0) {
@@ -72,6 +90,7 @@ CaptureConfig config_of(const Flags& flags) {
   std::tie(files.rows, files.cols) = parse_size("--grid", flags.grid);
   files.copy = flags.copy;
   files.complete = flags.complete;
+  files.every = flags.every;
   return files;
 }
 
@@ -207,17 +226,22 @@ void add_capture_command(CLI::App& app, Action& action) {
       "Records frame sets of all cameras.\n\n"
       "  stuv capture -o rec                      the built-in synthetic rig, 5x5 cameras\n"
       "  stuv capture --files 'Position{set}_Camera{camera}.png' --grid 1x20 -o rec\n"
+      "  stuv capture --files 'cam_{camera}.mp4' --grid 1x4 --every 10 -o rec\n"
       "  stuv cameras -o rig.toml                 then, with real cameras:\n"
       "  stuv capture rig.toml --check\n"
       "  stuv capture rig.toml -o rec --seconds 10 --preview live\n");
   command->add_option("config", flags->config, "What to record, TOML (see configs/) [a synthetic 5x5 rig]");
   command->add_option("-o,--output", flags->output, "The recording's folder")->type_name("REC");
-  command->add_option("--files", flags->pattern, "Pictures on disk: a path with {set} and {camera}")
+  command
+      ->add_option("--files", flags->pattern,
+                   "Pictures on disk: a path with {set} and {camera}; or videos, one a camera, in step")
       ->type_name("PATTERN");
   command->add_option("--grid", flags->grid, "Places of the cameras, filled row by row in natural order")
       ->type_name("ROWSxCOLS");
   command->add_option("--sets", flags->sets, "Stop after so many sets [all there are]")
       ->check(CLI::PositiveNumber);
+  command->add_option("--every", flags->every, "Files: every n-th set, or frame of videos [1]")
+      ->check(CLI::Range(1, kMostCount));
   command->add_option("--seconds", flags->seconds, "Cameras: stop after so long [until Ctrl-C]")
       ->check(CLI::PositiveNumber);
   command->add_flag("--check", flags->check, "Cameras: open all, add up the USB bandwidth, record nothing");

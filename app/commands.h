@@ -12,7 +12,10 @@ using Action = std::function<int()>;
 // sets `action`.
 void add_cameras_command(CLI::App& app, Action& action);
 void add_capture_command(CLI::App& app, Action& action);
+void add_board_command(CLI::App& app, Action& action);
 void add_calibrate_command(CLI::App& app, Action& action);
+void add_check_command(CLI::App& app, Action& action);
+void add_export_command(CLI::App& app, Action& action);
 void add_import_command(CLI::App& app, Action& action);
 void add_track_command(CLI::App& app, Action& action);
 void add_rectify_command(CLI::App& app, Action& action);

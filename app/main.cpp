@@ -22,8 +22,11 @@ int main(int argc, char** argv) {
   Action action;
   add_cameras_command(app, action);
   add_capture_command(app, action);
+  add_board_command(app, action);
   add_calibrate_command(app, action);
+  add_check_command(app, action);
   add_import_command(app, action);
+  add_export_command(app, action);
   add_rectify_command(app, action);
   add_plan_command(app, action);
   add_render_command(app, action);

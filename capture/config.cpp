@@ -121,6 +121,7 @@ void read_rig(TableReader table, synthetic::RigOptions& rig) {
   table.read("focal_px", rig.focal_px);
   table.read("distortion", rig.distortion);
   table.read("vignetting", rig.vignetting);
+  table.read("offset", rig.offset);
   table.read("missing", rig.missing);
   TableReader jitter = table.child("jitter");
   jitter.read("position_m", rig.jitter.position_m);
@@ -129,6 +130,8 @@ void read_rig(TableReader table, synthetic::RigOptions& rig) {
   jitter.read("principal_point_px", rig.jitter.principal_point_px);
   jitter.read("distortion", rig.jitter.distortion);
   jitter.read("gain_relative", rig.jitter.gain_relative);
+  jitter.read("colour_gain_relative", rig.jitter.colour_gain_relative);
+  jitter.read("offset", rig.jitter.offset);
   jitter.read("vignetting", rig.jitter.vignetting);
   jitter.read("time_skew_ns", rig.jitter.time_skew_ns);
   jitter.finish();
@@ -143,6 +146,7 @@ void read_sensor(TableReader table, synthetic::SensorOptions& sensor) {
 }
 
 void read_board(TableReader table, synthetic::BoardOptions& board) {
+  table.read("spec", board.spec);
   std::array<int, 2> corners = {board.columns, board.rows};
   table.read("corners", corners);
   board.columns = corners[0];
@@ -189,9 +193,12 @@ FilesOptions read_files(TableReader& source, const std::string& file) {
   source.read("names", options.names);
   source.read("copy", options.copy);
   source.read("complete", options.complete);
+  source.read("every", options.every);
   if (options.pattern.find("{camera}") == std::string::npos)
     throw Error(file, fmt::format("source.pattern is '{}'", options.pattern),
                 "give a path with {camera} in it");
+  if (options.every < 1)
+    throw Error(file, fmt::format("source.every is {}", options.every), "give 1 or more");
   if (options.rows < 1 || options.cols < 1)
     throw Error(file, fmt::format("source.rows and source.cols are {} and {}", options.rows, options.cols),
                 "give the grid's size, each 1 or more");

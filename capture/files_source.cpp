@@ -10,6 +10,7 @@
 #include <regex>
 #include <set>
 
+#include "capture/video_source.h"
 #include "core/error.h"
 #include "core/files.h"
 #include "core/image_io.h"
@@ -241,6 +242,23 @@ void check_sets_complete(const FilesOptions& options, const SetFiles& sets,
   }
 }
 
+/// Leaves the first set and every n-th after it.
+void thin_out(int every, SetFiles& sets) {
+  int index = 0;
+  std::erase_if(sets, [&](const auto&) { return index++ % every != 0; });
+}
+
+std::unique_ptr<Source> open_as_videos(const FilesOptions& options, const SetFiles& sets,
+                                       const Reporter& reporter) {
+  if (options.pattern.find("{set}") != std::string::npos)
+    throw Error(options.pattern, "has a {set}, but a video holds all sets of its camera",
+                "write the pattern with {camera} only");
+  VideoFilesOptions videos{options.rows, options.cols, place_cameras(options, sets), {}, options.every};
+  for (const RecordedCamera& camera : videos.cameras)
+    videos.files.push_back(sets.begin()->second.at(camera.name));
+  return open_videos(videos, reporter);
+}
+
 class FilesSource final : public Source {
  public:
   FilesSource(FilesOptions options, SetFiles sets, std::vector<RecordedCamera> cameras)
@@ -283,7 +301,12 @@ std::unique_ptr<Source> open_files(const FilesOptions& options, const Reporter& 
   if (options.rows <= 0 || options.cols <= 0)
     throw Error(options.pattern, fmt::format("has a grid of {}x{}", options.rows, options.cols),
                 "give rows and columns above 0");
+  if (options.every < 1)
+    throw Error(options.pattern, fmt::format("is to be taken every {} sets", options.every),
+                "give 1 or more");
   SetFiles sets = find_matches(options);
+  if (is_video(options.pattern)) return open_as_videos(options, sets, reporter);
+  thin_out(options.every, sets);
   std::vector<RecordedCamera> cameras = place_cameras(options, sets);
   if (options.complete) check_sets_complete(options, sets, cameras);
   check_pictures(sets, cameras, reporter);

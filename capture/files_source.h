@@ -21,9 +21,11 @@ struct FilesOptions {
   std::vector<std::string> names;
   bool copy = false;      ///< copy pictures into the recording instead of referring to them
   bool complete = false;  ///< an incomplete set is an Error
+  int every = 1;          ///< of all sets (or frames of videos) the first and every n-th after it
 };
 
-/// Pictures that lie on disk, as a source.
+/// Pictures that lie on disk, as a source; or videos, one a camera, where the pattern ends like a video's
+/// name (video_source.h) and has no {set}.
 ///
 /// Opens by finding all files of the pattern and decoding every one, in parallel, so that a recording is
 /// never begun with a picture that cannot be read. Throws Error naming the file, camera or set: nothing

@@ -35,8 +35,8 @@ fs::path without_trailing_slash(const fs::path& path) {
 void require_replaceable(const fs::path& folder) {
   std::error_code ec;
   if (!fs::exists(folder, ec)) return;
-  for (const char* manifest :
-       {"recording.json", "rig.json", "lightfield.json", "keyframes.json", "overlay.json", "two_view.json"})
+  for (const char* manifest : {"recording.json", "rig.json", "lightfield.json", "keyframes.json",
+                               "overlay.json", "two_view.json", "export.json"})
     if (fs::exists(folder / manifest, ec)) return;
   if (fs::is_directory(folder, ec) && fs::is_empty(folder, ec)) return;
   throw Error(folder.string(), "exists and was not made by stuv",

@@ -41,6 +41,10 @@ Eigen::MatrixXd covariance_from_json(const Json& rows) {
   return m;
 }
 
+Json sigma_to_json(const RigCamera& rc) {
+  return rc.determined && rc.position_sigma_m.allFinite() ? list(rc.position_sigma_m) : Json(nullptr);
+}
+
 }  // namespace
 
 int Rig::camera_index(const std::string& name) const {
@@ -96,8 +100,8 @@ void write_rig(const fs::path& folder, const Rig& rig) {
                        {"col", rc.col},
                        {"model", model},
                        {"determined", rc.determined},
-                       {"position_m", list(rc.camera.cam_from_rig.centre())},
-                       {"position_sigma_m", rc.determined ? list(rc.position_sigma_m) : Json(nullptr)},
+                       {"position_m", rc.determined ? list(rc.camera.cam_from_rig.centre()) : Json(nullptr)},
+                       {"position_sigma_m", sigma_to_json(rc)},
                        {"off_lattice_m", list(rc.off_lattice_m)}});
   }
   write_json(

@@ -2,6 +2,7 @@
 
 #include <Eigen/Dense>
 #include <filesystem>
+#include <limits>
 #include <string>
 #include <vector>
 
@@ -22,7 +23,8 @@ struct RigCamera {
   bool determined = true;
   /// Centre minus its lattice point (s, t) and minus the plane (w) [m].
   Eigen::Vector3d off_lattice_m = Eigen::Vector3d::Zero();
-  Eigen::Vector3d position_sigma_m = Eigen::Vector3d::Zero();
+  /// NaN where it is not known.
+  Eigen::Vector3d position_sigma_m = Eigen::Vector3d::Constant(std::numeric_limits<double>::quiet_NaN());
 };
 
 struct Rig {

@@ -10,15 +10,31 @@ namespace stuv {
 
 /// Counts up when detect_board may answer otherwise for the same picture: corners that were kept by an older
 /// version are looked for again.
-inline constexpr int kDetectorVersion = 1;
+inline constexpr int kDetectorVersion = 2;
 
-/// Finds the board's inner corners in one picture [px], row by row, or nothing.
+/// A board in one picture.
+struct BoardView {
+  /// Of each of Board::corners() lattice points, NaN where none was seen; empty if there is no board.
+  std::vector<Eigen::Vector2d> corners_px;
+  /// Of each: deviation to be expected of x and of y, NaN where none was seen.
+  std::vector<double> sigma_px;
+
+  bool empty() const { return corners_px.empty(); }
+  int seen() const;  ///< corners
+};
+
+/// Finds the board's corners in one picture, or nothing. Coordinates are finite and inside the picture.
 ///
-/// OpenCV's findChessboardCornersSB (Duda, Frese, "Accurate Detection and Localization of Checkerboard
-/// Corners for Calibration", BMVC 2018), exhaustive. It finds whole boards only. Where the colours tell the
-/// board's two orders apart, the first inner square (between corners 0, 1 of rows 0, 1) is a dark one; else
-/// (Board::is_ambiguous) the order is one of two. Corners run right-handed: never mirrored. Coordinates are
-/// finite and inside the picture.
-std::vector<Eigen::Vector2d> detect_board(const Image& picture, const Board& board);
+/// - chessboard (detect_chessboard.h): whole ones by OpenCV's findChessboardCornersSB; ones that leave the
+/// picture or
+///   are partly covered as far as it is certain which part is seen.
+/// - charuco, aprilgrid (detect_markers.h): by their markers, any part; corners by refine_corner.
+///
+/// sigma_px: sqrt(floor^2 + trace(C) / 2), C the corner_covariance for this picture's own noise
+/// (picture_noise), and floor = kCornerFloorPx for what lens, paper and pixel raster add. So corners that are
+/// blurred, dark or seen at a slant count less. At least six corners that do not lie in a line, or none.
+BoardView detect_board(const Image& picture, const Board& board);
+
+inline constexpr double kCornerFloorPx = 0.02;
 
 }  // namespace stuv

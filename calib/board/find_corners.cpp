@@ -4,6 +4,8 @@
 
 #include <algorithm>
 #include <atomic>
+#include <cmath>
+#include <limits>
 #include <mutex>
 #include <opencv2/core/utility.hpp>
 #include <optional>
@@ -20,12 +22,12 @@ namespace fs = std::filesystem;
 namespace {
 
 constexpr const char* kFormat = "stuv.corners";
-constexpr int kVersion = 1;
+constexpr int kVersion = 2;
 
 /// What is known of one frame.
 struct Sighting {
   int width = 0, height = 0;
-  std::vector<Eigen::Vector2d> corners;
+  BoardView view;
 };
 
 /// Which picture corners belong to.
@@ -45,9 +47,33 @@ Stamp stamp_of(const fs::path& file) {
 
 fs::path kept_file(const Recording& recording, const Board& board, int set, int camera) {
   std::string folder = board_spec(board);
-  std::replace(folder.begin(), folder.end(), ':', '_');
+  for (char& c : folder)
+    if (c == ':' || c == '/') c = '_';
   return recording.folder / "corners" / folder / recording.sets[set].name /
          (recording.cameras[camera].name + ".json");
+}
+
+/// Lines of point, x, y, sigma; throws if one cannot be.
+BoardView view_from(const Json& corners, const Board& board) {
+  constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+  BoardView view;
+  if (corners.empty()) return view;
+  view.corners_px.assign(static_cast<std::size_t>(board.corners()), {kNaN, kNaN});
+  view.sigma_px.assign(view.corners_px.size(), kNaN);
+  for (const Json& c : corners) {
+    const std::size_t point = c.at(0);
+    view.corners_px.at(point) = Eigen::Vector2d(c.at(1).get<double>(), c.at(2).get<double>());
+    view.sigma_px.at(point) = c.at(3);
+  }
+  return view;
+}
+
+Json to_json(const BoardView& view) {
+  Json corners = Json::array();
+  for (std::size_t i = 0; i < view.corners_px.size(); ++i)
+    if (view.corners_px[i].allFinite())
+      corners.push_back({i, view.corners_px[i].x(), view.corners_px[i].y(), view.sigma_px[i]});
+  return corners;
 }
 
 /// Nothing if the file is absent, damaged or about another picture: then the board is looked for again.
@@ -59,19 +85,14 @@ std::optional<Sighting> recall(const fs::path& file, const Stamp& stamp, const B
     if (json.at("detector") != kDetectorVersion || json.at("picture").at("bytes") != stamp.bytes ||
         json["picture"].at("changed") != stamp.changed)
       return std::nullopt;
-    Sighting sighting{json["picture"].at("size_px").at(0), json["picture"]["size_px"].at(1), {}};
-    for (const Json& c : json.at("corners_px")) sighting.corners.emplace_back(c.at(0), c.at(1));
-    const bool whole = sighting.corners.size() == static_cast<std::size_t>(board.corners());
-    if (!whole && !sighting.corners.empty()) return std::nullopt;
-    return sighting;
+    return Sighting{json["picture"]["size_px"].at(0), json["picture"]["size_px"].at(1),
+                    view_from(json.at("corners"), board)};
   } catch (const std::exception&) {
     return std::nullopt;
   }
 }
 
 void keep(const fs::path& file, const Stamp& stamp, const Board& board, const Sighting& sighting) {
-  Json corners = Json::array();
-  for (const Eigen::Vector2d& c : sighting.corners) corners.push_back({c.x(), c.y()});
   fs::create_directories(file.parent_path());
   write_json(
       file,
@@ -81,8 +102,8 @@ void keep(const fs::path& file, const Stamp& stamp, const Board& board, const Si
        {"detector", kDetectorVersion},
        {"picture",
         {{"bytes", stamp.bytes}, {"changed", stamp.changed}, {"size_px", {sighting.width, sighting.height}}}},
-       {"found", !sighting.corners.empty()},
-       {"corners_px", corners}});
+       {"found", !sighting.view.empty()},
+       {"corners", to_json(sighting.view)}});
 }
 
 Sighting look(const fs::path& file, const Board& board) {
@@ -167,14 +188,32 @@ FoundCorners find_corners(const Recording& recording, const Board& board, const 
   found.pictures = static_cast<int>(places.size());
   found.remembered = remembered;
   found.size_px.assign(recording.cameras.size(), Eigen::Vector2i::Zero());
-  found.corners.assign(recording.sets.size(), {});
-  for (auto& set : found.corners) set.resize(recording.cameras.size());
+  found.views.assign(recording.sets.size(), {});
+  for (auto& set : found.views) set.resize(recording.cameras.size());
   for (std::size_t i = 0; i < places.size(); ++i) {
     note_size(recording, places[i], sightings[i], found);
-    if (!sightings[i].corners.empty()) ++found.boards;
-    found.corners[places[i].set][places[i].camera] = std::move(sightings[i].corners);
+    if (!sightings[i].view.empty()) ++found.boards;
+    found.views[places[i].set][places[i].camera] = std::move(sightings[i].view);
   }
   return found;
+}
+
+std::vector<double> corner_weights(const BoardView& view, double sigma_ref_px) {
+  std::vector<double> weights;
+  for (const double sigma : view.sigma_px) weights.push_back(std::isfinite(sigma) ? sigma_ref_px / sigma : 0);
+  return weights;
+}
+
+double median_sigma_px(const FoundCorners& found) {
+  std::vector<double> all;
+  for (const auto& set : found.views)
+    for (const BoardView& view : set)
+      for (const double sigma : view.sigma_px)
+        if (std::isfinite(sigma)) all.push_back(sigma);
+  if (all.empty()) return kCornerFloorPx;
+  const auto middle = all.begin() + static_cast<long>(all.size() / 2);
+  std::nth_element(all.begin(), middle, all.end());
+  return *middle;
 }
 
 }  // namespace stuv

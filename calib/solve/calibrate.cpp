@@ -5,89 +5,26 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <opencv2/imgproc.hpp>
+
+#include "calib/solve/groups.h"
+#include "calib/solve/verdict.h"
+#include "core/error.h"
+#include "core/parallel.h"
 
 namespace stuv {
 namespace {
 
-/// Corner noise to judge determinacy by, however exact the corners happen to be [px].
-constexpr double kLeastNoisePx = 0.02;
-
-std::vector<Eigen::Vector3d> centres_of(const std::vector<Camera>& cameras, const std::vector<int>& which) {
-  std::vector<Eigen::Vector3d> centres;
-  for (const int c : which) centres.push_back(cameras[c].cam_from_rig.centre());
-  return centres;
-}
-
-Eigen::MatrixXd block_of(const Eigen::MatrixXd& covariance, const std::vector<int>& which) {
-  const auto n = static_cast<Eigen::Index>(which.size());
-  Eigen::MatrixXd result(3 * n, 3 * n);
-  for (Eigen::Index i = 0; i < n; ++i)
-    for (Eigen::Index j = 0; j < n; ++j)
-      result.block<3, 3>(3 * i, 3 * j) = covariance.block<3, 3>(3 * which[i], 3 * which[j]);
-  return result;
-}
-
-double median_spacing(const std::vector<Eigen::Vector3d>& centres) {
-  std::vector<double> nearest;
-  for (const auto& a : centres) {
-    double best = std::numeric_limits<double>::infinity();
-    for (const auto& b : centres)
-      if (&a != &b) best = std::min(best, (a - b).norm());
-    nearest.push_back(best);
-  }
-  std::nth_element(nearest.begin(), nearest.begin() + static_cast<long>(nearest.size() / 2), nearest.end());
-  return nearest[nearest.size() / 2];
-}
-
-/// Cameras whose lens and place the boards determine. Takes the least determined one out until the rest are:
-/// one loose camera makes the alignment, and so all others, look loose.
-std::vector<int> determined_cameras(const JointSolution& s, const CalibrationOptions& options) {
-  std::vector<int> which;
-  const double noise = std::max(kLeastNoisePx, std::isfinite(s.noise_px) ? s.noise_px : 1e9);
-  if (!s.converged || s.centre_covariance.size() == 0) return which;
-  for (std::size_t c = 0; c < s.cameras.size(); ++c) {
-    const double sigma = s.focal_sigma[c].maxCoeff() * noise;
-    if (sigma < options.most_focal_sigma * std::abs(s.cameras[c].intrinsics[0])) which.push_back(int(c));
-  }
-  while (which.size() > 1) {
-    const auto centres = centres_of(s.cameras, which);
-    const Eigen::VectorXd variance =
-        rigidly_aligned(block_of(s.centre_covariance, which), centres).diagonal();
-    Eigen::Index worst = 0;
-    const double sigma = noise * std::sqrt(variance.maxCoeff(&worst));
-    if (sigma < options.most_sigma * median_spacing(centres)) break;
-    which.erase(which.begin() + worst / 3);
-  }
-  return which;
-}
-
 CameraSummary summary_of(const Calibration& c, int camera) {
+  const JointSolution& s = c.solution;
   CameraSummary summary;
-  std::vector<cv::Point2f> points;
-  double sum_sq = 0;
-  for (std::size_t i = 0; i < c.observations.boards.size(); ++i) {
-    if (c.observations.boards[i].camera != camera) continue;
-    ++summary.boards;
-    for (std::size_t k = 0; k < c.solution.residuals_px[i].size(); ++k) {
-      if (c.solution.outlier[i][k]) ++summary.outliers;
-      const Eigen::Vector2d& r = c.solution.residuals_px[i][k];
-      if (!r.allFinite()) continue;
-      ++summary.inliers;
-      sum_sq += r.squaredNorm();
-      const Eigen::Vector2f q = c.observations.boards[i].corners_px[k].cast<float>();
-      points.emplace_back(q.x(), q.y());
-    }
-  }
-  summary.rms_px = std::sqrt(sum_sq / (2.0 * summary.inliers));
-  if (points.size() > 2) {
-    std::vector<cv::Point2f> hull;
-    cv::convexHull(points, hull);
-    const Eigen::Vector2i size = c.observations.size_px[camera];
-    summary.coverage = cv::contourArea(hull) / (double(size.x()) * size.y());
-  }
-  if (!c.solution.focal_sigma.empty())
-    summary.focal_sigma_px = c.solution.noise_px * c.solution.focal_sigma[camera];
+  summary.seen = coverage_of(c.observations, s, camera);
+  summary.boards = summary.seen.boards;
+  summary.inliers = summary.seen.inliers;
+  summary.outliers = summary.seen.outliers;
+  summary.rms_px = summary.seen.rms_px;
+  summary.coverage = summary.seen.hull;
+  summary.noise_px = s.noise_px / s.camera_weight[camera];
+  if (!s.focal_sigma.empty()) summary.focal_sigma_px = s.noise_px * s.focal_sigma[camera];
   return summary;
 }
 
@@ -96,6 +33,7 @@ void note_depths(Calibration& c) {
   const std::vector<Eigen::Vector3d> model = board_points(c.observations.board);
   double nearest = std::numeric_limits<double>::infinity(), farthest = 0;
   for (const BoardObservation& b : c.observations.boards) {
+    if (!c.solution.solved[b.camera]) continue;
     const Pose rig_from_board = c.layout.rig_from_ref * c.solution.ref_from_board[b.set];
     for (const Eigen::Vector3d& p : model) {
       const double z = (rig_from_board * p).z();
@@ -103,8 +41,19 @@ void note_depths(Calibration& c) {
       farthest = std::max(farthest, z);
     }
   }
-  c.rig.nearest_seen_m = std::max(0.0, nearest);
+  c.rig.nearest_seen_m = std::isfinite(nearest) ? std::max(0.0, nearest) : 0;
   c.rig.farthest_seen_m = farthest;
+}
+
+/// A camera that was not solved is at no place and has a lens that says nothing: a pinhole as wide as its
+/// picture, for files need one.
+void make_placeholder(Camera& camera) {
+  camera.width = std::max(1, camera.width);
+  camera.height = std::max(1, camera.height);
+  camera.lens_model = "LENSMODEL_PINHOLE";
+  camera.intrinsics = {double(camera.width), double(camera.width), 0.5 * (camera.width - 1),
+                       0.5 * (camera.height - 1)};
+  camera.cam_from_rig = {};
 }
 
 void fill_rig(Calibration& c, const std::vector<int>& determined) {
@@ -115,44 +64,33 @@ void fill_rig(Calibration& c, const std::vector<int>& determined) {
     RigCamera camera;
     camera.camera = c.solution.cameras[i];
     camera.camera.cam_from_rig = c.solution.cameras[i].cam_from_rig * ref_from_rig;
+    if (!c.solution.solved[i]) make_placeholder(camera.camera);
     camera.row = c.layout.row[i];
     camera.col = c.layout.col[i];
     camera.determined = false;
-    camera.off_lattice_m = c.layout.off_lattice_m[i];
+    if (c.solution.solved[i]) camera.off_lattice_m = c.layout.off_lattice_m[i];
     rig.cameras.push_back(std::move(camera));
   }
   for (const int i : determined) rig.cameras[i].determined = true;
   note_depths(c);
   if (determined.size() < 2) return;
-  const Eigen::MatrixXd aligned = rigidly_aligned(block_of(c.solution.centre_covariance, determined),
-                                                  centres_of(c.solution.cameras, determined));
+  std::vector<Eigen::Vector3d> centres;
+  for (const int i : determined) centres.push_back(c.solution.cameras[i].cam_from_rig.centre());
+  const Eigen::MatrixXd aligned =
+      std::pow(c.solution.noise_px, 2) *
+      rigidly_aligned_poses(block_of(c.solution.pose_covariance, determined, 6), centres);
   const auto n = static_cast<Eigen::Index>(determined.size());
-  Eigen::MatrixXd turn = Eigen::MatrixXd::Zero(3 * n, 3 * n);
-  for (Eigen::Index i = 0; i < n; ++i) turn.block<3, 3>(3 * i, 3 * i) = c.layout.rig_from_ref.R;
-  rig.centre_covariance_m2 = std::pow(c.solution.noise_px, 2) * turn * aligned * turn.transpose();
-  for (Eigen::Index i = 0; i < n; ++i)
+  const Eigen::Matrix3d& R = c.layout.rig_from_ref.R;
+  rig.centre_covariance_m2.resize(3 * n, 3 * n);
+  for (Eigen::Index i = 0; i < n; ++i) {
+    for (Eigen::Index j = 0; j < n; ++j)
+      rig.centre_covariance_m2.block<3, 3>(3 * i, 3 * j) =
+          R * aligned.block<3, 3>(6 * i + 3, 6 * j + 3) * R.transpose();
+    const Eigen::Matrix3d turn = R * aligned.block<3, 3>(6 * i, 6 * i) * R.transpose();
+    c.cameras[determined[i]].rotation_sigma_rad = turn.diagonal().cwiseMax(0).cwiseSqrt();
     rig.cameras[determined[i]].position_sigma_m =
         rig.centre_covariance_m2.diagonal().segment<3>(3 * i).cwiseMax(0).cwiseSqrt();
-}
-
-std::optional<double> cross_validate(const Calibration& c, const CalibrationOptions& options,
-                                     const Reporter& reporter) {
-  std::vector<int> sets;
-  for (const BoardObservation& b : c.observations.boards) sets.push_back(b.set);
-  std::sort(sets.begin(), sets.end());
-  sets.erase(std::unique(sets.begin(), sets.end()), sets.end());
-  if (sets.size() < 2 || !c.solution.converged) return std::nullopt;
-  const int folds = std::min(options.most_folds, static_cast<int>(sets.size()));
-  HeldOutError total;
-  for (int f = 0; f < folds; ++f) {
-    const int set = sets[static_cast<std::size_t>(f) * sets.size() / folds];
-    const HeldOutError error = held_out_error(c.observations, c.solution, set, options.solve);
-    total.sum_sq_px2 += error.sum_sq_px2;
-    total.count += error.count;
-    reporter.at("cross-validating", f + 1, folds);
   }
-  if (total.count == 0 || !std::isfinite(total.sum_sq_px2)) return std::nullopt;
-  return std::sqrt(total.sum_sq_px2 / total.count);
 }
 
 /// Half as near as boards were seen, to infinity.
@@ -164,59 +102,68 @@ std::vector<double> working_depths(const Rig& rig) {
   return depths;
 }
 
-void judge(Calibration& c, const CalibrationOptions& options) {
-  const JointSolution& s = c.solution;
-  const auto bad = [&](std::string reason) { c.reasons.push_back(std::move(reason)); };
-  if (!s.converged) bad("the solve did not converge");
-  if (!(s.rms_px <= options.most_rms_px))
-    bad(fmt::format("residuals are large: rms {:.2f} px, more than {:.2f}", s.rms_px, options.most_rms_px));
-  const double share = s.outliers / std::max(1.0, double(s.inliers + s.outliers));
-  if (share > 0.1) bad(fmt::format("{:.0f} % of the corners are outliers", 100 * share));
-  const double spacing = std::max(c.layout.s_step_m.norm(), c.layout.t_step_m.norm());
-  for (std::size_t i = 0; i < c.cameras.size(); ++i) {
-    const std::string& name = c.observations.camera_names[i];
-    if (!c.rig.cameras[i].determined)
-      bad(fmt::format("camera {} is not determined by its {} board(s)", name, c.cameras[i].boards));
-    else if (c.cameras[i].boards < 2)
-      bad(fmt::format("camera {} saw one board only", name));
-    if (c.cameras[i].coverage < options.least_coverage)
-      bad(fmt::format("boards cover only {:.0f} % of camera {}'s picture", 100 * c.cameras[i].coverage,
-                      name));
-    if (c.rig.cameras[i].determined && c.rig.cameras.size() > 2 &&
-        c.rig.cameras[i].off_lattice_m.norm() > 0.5 * spacing)
-      bad(fmt::format("camera {} stands {:.3f} m off its place in the recorded grid", name,
-                      c.rig.cameras[i].off_lattice_m.norm()));
+/// Where the projections' uncertainty is mapped: at the nearest and the middle board distance in 1/z, and at
+/// infinity.
+void map_projections(Calibration& c, const std::vector<int>& determined) {
+  if (c.solution.camera_covariance.size() == 0 || !(c.rig.nearest_seen_m > 0)) return;
+  const double middle = 2 / (1 / c.rig.nearest_seen_m + 1 / c.rig.farthest_seen_m);
+  c.map_distances_m = {c.rig.nearest_seen_m, middle, std::numeric_limits<double>::infinity()};
+  parallel_for(static_cast<int>(determined.size()), [&](int i) {
+    for (const double distance : c.map_distances_m)
+      c.cameras[determined[i]].maps.push_back(projection_map(c.solution, determined[i], distance));
+  });
+}
+
+/// Views with too few corners to tell a pose are taken out; how many they were.
+int drop_small_views(Observations& observations) {
+  return static_cast<int>(std::erase_if(observations.boards, [](const BoardObservation& b) {
+    int there = 0;
+    for (std::size_t k = 0; k < b.corners_px.size(); ++k)
+      there += b.corners_px[k].allFinite() && (b.weights.empty() || b.weights[k] > 0) ? 1 : 0;
+    return there < 6;
+  }));
+}
+
+/// The lenses of `known` that the cameras of the part are to keep, in order.
+std::vector<Camera> known_lenses(const std::vector<Camera>& known, const Observations& part) {
+  std::vector<Camera> lenses;
+  if (known.empty()) return lenses;
+  for (std::size_t c = 0; c < part.camera_names.size(); ++c) {
+    const std::string& name = part.camera_names[c];
+    const auto lens =
+        std::find_if(known.begin(), known.end(), [&](const Camera& k) { return k.name == name; });
+    if (lens == known.end())
+      throw Error("camera " + name, "has no lens among those that are known", "calibrate with lenses free");
+    if (Eigen::Vector2i(lens->width, lens->height) != part.size_px[c])
+      throw Error("camera " + name,
+                  fmt::format("has pictures of {}x{}, its known lens was calibrated at {}x{}",
+                              part.size_px[c].x(), part.size_px[c].y(), lens->width, lens->height),
+                  "record at that size");
+    if (lens->lens_model != known.front().lens_model)
+      throw Error("camera " + name, "has a known lens of another model than " + known.front().name,
+                  "calibrate the lenses with one model");
+    lenses.push_back(*lens);
   }
-  c.good = c.reasons.empty();
+  return lenses;
 }
 
-void note_ghosting(Calibration& c, const CalibrationOptions& options) {
-  Ghosting worst;
-  for (const Ghosting& g : c.ghosting)
-    if (g.depth_m >= c.rig.nearest_seen_m && g.depth_m <= c.rig.farthest_seen_m &&
-        g.worst_px > worst.worst_px)
-      worst = g;
-  if (worst.worst_px > options.most_ghosting_px)
-    c.notes.push_back(
-        fmt::format("pictures of one point at {:.2f} m fall up to {:.2f} px apart (one sigma), more than "
-                    "{:.2f}, most that of camera {}: show it more boards, out to its picture's corners",
-                    worst.depth_m, worst.worst_px, options.most_ghosting_px,
-                    c.observations.camera_names[worst.worst_camera]));
-}
-
-void note(Calibration& c, const Recording& recording) {
-  if (!c.layout.as_recorded)
-    c.notes.push_back(
-        fmt::format("the recorded grid, {}x{}, does not fit where the cameras stand; rows and columns are "
-                    "counted along their centres: {}x{}",
-                    recording.rows, recording.cols, c.layout.rows, c.layout.cols));
-  // Corners of boards that were part of the solve are predicted at their noise; of others by what the solve
-  // has learnt of lenses and places.
-  if (c.cross_validation_px && *c.cross_validation_px > 5 * c.solution.rms_px)
-    c.notes.push_back(
-        fmt::format("a board that was left out is predicted to {:.2f} px only, the boards of the solve to "
-                    "{:.2f}: record more boards, tilted and out to the pictures' corners",
-                    *c.cross_validation_px, c.solution.rms_px));
+/// Solves the largest group of cameras; all cameras are in the result.
+JointSolution solve_largest_group(Observations& all, const CameraGroups& groups, const SolveOptions& wanted) {
+  ObservedPart part = part_of(all, groups.groups.front());
+  SolveOptions options = wanted;
+  options.known = known_lenses(wanted.known, part.observations);
+  if (options.shared_lens)
+    for (const Eigen::Vector2i& size : part.observations.size_px)
+      if (size != part.observations.size_px.front())
+        throw Error("cameras of a shared lens", "have pictures of different sizes", "solve a lens each");
+  const SeedLens lens = options.lens == Lens::splined ? SeedLens::stereographic : SeedLens::pinhole;
+  const Seed seed = seed_solve(part.observations, lens, options.known);
+  // The seed may have brought corners into another order.
+  for (std::size_t i = 0; i < part.board_of.size(); ++i) {
+    all.boards[part.board_of[i]].corners_px = part.observations.boards[i].corners_px;
+    all.boards[part.board_of[i]].weights = part.observations.boards[i].weights;
+  }
+  return as_of_all(joint_solve(part.observations, seed, options), part, all);
 }
 
 }  // namespace
@@ -248,47 +195,53 @@ std::string ghosting_text(const std::vector<Ghosting>& ghosting) {
 Eigen::MatrixXd rigidly_aligned(const Eigen::MatrixXd& covariance,
                                 const std::vector<Eigen::Vector3d>& centres) {
   const auto n = static_cast<Eigen::Index>(centres.size());
-  Eigen::Vector3d mean = Eigen::Vector3d::Zero();
-  for (const Eigen::Vector3d& c : centres) mean += c / static_cast<double>(n);
-  double extent = 1e-12;
-  for (const Eigen::Vector3d& c : centres) extent = std::max(extent, (c - mean).norm());
-  Eigen::MatrixXd G(3 * n, 6);
-  for (Eigen::Index i = 0; i < n; ++i) {
-    // Of one length, so that the rank tells a line from a plane.
-    const Eigen::Vector3d c = (centres[i] - mean) / extent;
-    G.block<3, 6>(3 * i, 0) << Eigen::Matrix3d::Identity(), cross_matrix(c);
-  }
-  Eigen::JacobiSVD<Eigen::MatrixXd> svd(G, Eigen::ComputeThinU);
-  svd.setThreshold(1e-6);
-  const Eigen::MatrixXd U = svd.matrixU().leftCols(svd.rank());
-  const Eigen::MatrixXd P = Eigen::MatrixXd::Identity(3 * n, 3 * n) - U * U.transpose();
-  return P * covariance * P;
+  Eigen::MatrixXd poses = Eigen::MatrixXd::Zero(6 * n, 6 * n), result(3 * n, 3 * n);
+  for (Eigen::Index i = 0; i < n; ++i)
+    for (Eigen::Index j = 0; j < n; ++j)
+      poses.block<3, 3>(6 * i + 3, 6 * j + 3) = covariance.block<3, 3>(3 * i, 3 * j);
+  poses = rigidly_aligned_poses(poses, centres);
+  for (Eigen::Index i = 0; i < n; ++i)
+    for (Eigen::Index j = 0; j < n; ++j)
+      result.block<3, 3>(3 * i, 3 * j) = poses.block<3, 3>(6 * i + 3, 6 * j + 3);
+  return result;
 }
 
 Calibration calibrate(Observations observations, const Recording& recording,
                       const CalibrationOptions& options, const Reporter& reporter) {
   Calibration c;
   c.observations = std::move(observations);
-  reporter.at("solving", 0, 2);
-  const Seed seed = seed_solve(c.observations);
-  reporter.at("solving", 1, 2);
-  c.solution = joint_solve(c.observations, seed, options.solve);
-  reporter.at("solving", 2, 2);
-  const std::vector<int> determined = determined_cameras(c.solution, options);
+  const int small_views = drop_small_views(c.observations);
+  const auto n = static_cast<int>(c.observations.camera_names.size());
+  const CameraGroups groups = camera_groups(c.observations.boards, n);
+  if (groups.groups.empty())
+    throw Error("board " + board_spec(c.observations.board),
+                "has fewer than 6 finite corners in every picture", "show more of it");
+  reporter.at("solving", 0, 1);
+  c.solution = solve_largest_group(c.observations, groups, options.solve);
+  reporter.at("solving", 1, 1);
+  for (int i = 0; i < n; ++i) c.cameras.push_back(summary_of(c, i));
+  note_undetermined(c, groups, options);
   std::vector<PlacedCamera> placed;
-  for (std::size_t i = 0; i < c.solution.cameras.size(); ++i)
+  std::vector<int> determined;
+  for (int i = 0; i < n; ++i) {
+    const bool known = c.cameras[i].undetermined.empty();
     placed.push_back(
-        {c.solution.cameras[i].cam_from_rig, recording.cameras[i].row, recording.cameras[i].col, false});
-  for (const int i : determined) placed[i].determined = true;
+        {c.solution.cameras[i].cam_from_rig, recording.cameras[i].row, recording.cameras[i].col, known});
+    if (known) determined.push_back(i);
+  }
   c.layout = fit_layout(placed, recording.rows, recording.cols);
-  for (std::size_t i = 0; i < placed.size(); ++i) c.cameras.push_back(summary_of(c, static_cast<int>(i)));
   fill_rig(c, determined);
+  c.lattice_sigma = lattice_sigma(c.solution, placed, recording.rows, recording.cols);
+  map_projections(c, determined);
   if (c.rig.nearest_seen_m > 0)
     c.ghosting = ghosting(c.solution, c.layout, determined, working_depths(c.rig));
-  c.cross_validation_px = cross_validate(c, options, reporter);
-  judge(c, options);
-  note(c, recording);
-  note_ghosting(c, options);
+  c.structure = residual_structure(c.observations, c.solution);
+  c.validation = validate_solution(c.observations, c.solution, options.solve, options.most_folds, reporter);
+  if (c.validation->left_out) c.cross_validation_px = c.validation->left_out->rms_px;
+  if (small_views > 0)
+    c.notes.push_back(
+        fmt::format("{} view(s) with fewer than 6 corners of the board took no part", small_views));
+  judge(c, recording, options);
   return c;
 }
 

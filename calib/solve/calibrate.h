@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cmath>
 #include <optional>
 #include <string>
 #include <vector>
@@ -7,6 +8,9 @@
 #include "calib/solve/ghosting.h"
 #include "calib/solve/joint_solve.h"
 #include "calib/solve/lattice.h"
+#include "calib/solve/residual_structure.h"
+#include "calib/solve/uncertainty.h"
+#include "calib/solve/validation.h"
 #include "core/json.h"
 #include "core/progress.h"
 #include "core/recording.h"
@@ -15,11 +19,12 @@
 namespace stuv {
 
 struct CalibrationOptions {
-  SolveOptions solve;
-  int most_folds = 10;             ///< sets left out in turn for the cross-validation; 0: none
+  SolveOptions solve;              ///< `known` lenses by name: see calibrate
+  int most_folds = 10;             ///< sets left out in turn for the cross-validation; 0: no validation
   double most_rms_px = 0.5;        ///< beyond it the verdict is not good
   double most_sigma = 0.1;         ///< of a centre in spacings: beyond it a camera is not determined
   double most_focal_sigma = 0.02;  ///< of a focal length, relative: the same
+  double most_projection_px = 5;   ///< one sigma, median over the picture at the boards' distance: the same
   double most_ghosting_px = 0.5;   ///< at the depths boards were seen at; beyond it a note
   double least_coverage = 0.05;    ///< part of its picture that a camera's corners must span
 };
@@ -29,30 +34,42 @@ struct CameraSummary {
   double rms_px = 0;    ///< over x and y; NaN without inliers
   double coverage = 0;  ///< hull of all its corners over the picture
   Eigen::Vector2d focal_sigma_px = {0, 0};
+  /// About s, t, w, after rigid alignment of the centres (rigidly_aligned_poses); NaN where not determined.
+  Eigen::Vector3d rotation_sigma_rad = Eigen::Vector3d::Constant(std::nan(""));
+  double noise_px = 0;              ///< of its corners, as the solve weighed them
+  std::string undetermined;         ///< why it is not determined; empty if it is
+  Coverage seen;                    ///< what of its picture the boards filled
+  std::vector<ProjectionMap> maps;  ///< of determined cameras, at Calibration::map_distances_m
 };
 
 struct Calibration {
   Observations observations;  ///< in the order of corners that was solved with
   JointSolution solution;
   Layout layout;
+  LatticeSigma lattice_sigma;
   Rig rig;
   std::vector<CameraSummary> cameras;
   std::optional<double> cross_validation_px;
+  std::optional<Validation> validation;
+  ResidualStructure structure;
+  std::vector<double> map_distances_m;
   /// Of the determined cameras, even in 1/z, from half the distance of the nearest board corner to infinity.
   std::vector<Ghosting> ghosting;
   bool good = false;
   std::vector<std::string> reasons;  ///< why it is not good
   std::vector<std::string> notes;    ///< what is worth knowing though the verdict does not hang on it
+  std::vector<std::string> advice;   ///< what to record next, most useful first
 };
 
-/// The whole chain from corners to rig: seed_solve, joint_solve, fit_layout, uncertainty, cross-validation,
-/// verdict.
+/// The whole chain from corners to rig: camera_groups, seed_solve, joint_solve, fit_layout, uncertainty,
+/// validation, verdict (judge).
 ///
+/// Cameras that see no board, or share none with the largest group of cameras, are in the result, not
+/// determined, at no place. Views with fewer than 6 corners take no part.
 /// Centres' covariance is that after rigid alignment: C = s^2 P C_ref P, with P the projection off the six
 /// rigid motions of the determined centres and s the corner noise estimated from the residuals; turned into
-/// the rig's frame. Cross-validation: every set (at most most_folds, evenly spread) is left out, the rest
-/// solved again, the left out board fitted by its pose alone; rms over all their x and y residuals; none if
-/// no set can be left out. Throws Error as seed_solve does.
+/// the rig's frame. Throws Error if fewer than 6 corners of every view are there, or a wanted lens is not
+/// known.
 Calibration calibrate(Observations observations, const Recording& recording,
                       const CalibrationOptions& options = {}, const Reporter& reporter = {});
 

@@ -4,9 +4,7 @@
 #include <cmath>
 #include <limits>
 
-extern "C" {
-#include <mrcal/mrcal.h>
-}
+#include "calib/solve/camera_sight.h"
 
 namespace stuv {
 namespace {
@@ -18,22 +16,17 @@ struct Sight {
   Eigen::Vector2d place;
 };
 
-/// `direction` + `inverse_m` * (a place) is the point over its depth, in the reference frame.
-struct Point {
-  Eigen::Vector3d direction = {0, 0, 1};
-  double inverse_m = 0;
-};
-
 class Sights {
  public:
   Sights(const JointSolution& solution, const Layout& layout, const std::vector<int>& which)
-      : solution_(solution), ref_from_rig_(layout.rig_from_ref.inverse()), which_(which) {
-    mrcal_lensmodel_from_name(&lens_, solution.cameras.front().lens_model.c_str());
-  }
+      : solution_(solution),
+        ref_from_rig_(layout.rig_from_ref.inverse()),
+        which_(which),
+        lens_(lens_model_of(solution.cameras[which.front()])) {}
 
   /// The cameras that see a point of the rig's frame, x / z, y / z and 1 / z.
   std::vector<Sight> of(const Eigen::Vector2d& xy, double inverse_m) const {
-    const Point point{ref_from_rig_.R * xy.homogeneous() + inverse_m * ref_from_rig_.t, inverse_m};
+    const FarPoint point{ref_from_rig_.R * xy.homogeneous() + inverse_m * ref_from_rig_.t, inverse_m};
     std::vector<Sight> sights;
     for (const int c : which_) {
       Sight sight{c, {}, {}};
@@ -43,28 +36,13 @@ class Sights {
   }
 
  private:
-  bool see(const Point& point, Sight& sight) const {
+  bool see(const FarPoint& point, Sight& sight) const {
     const Camera& camera = solution_.cameras[sight.camera];
-    const Pose& pose = camera.cam_from_rig;  // from ref, here
-    const Eigen::Vector3d p = pose.R * point.direction + point.inverse_m * pose.t;
-    if (!(p.z() > 0)) return false;
-    const auto lens_states = static_cast<Eigen::Index>(camera.intrinsics.size());
-    mrcal_point3_t at = {};
-    at.x = p.x(), at.y = p.y(), at.z = p.z();
-    mrcal_point2_t q;
-    Eigen::Matrix<double, 2, 3, Eigen::RowMajor> dq_dp;
-    Eigen::Matrix<double, 2, Eigen::Dynamic, Eigen::RowMajor> dq_dlens(2, lens_states);
-    if (!mrcal_project(&q, reinterpret_cast<mrcal_point3_t*>(dq_dp.data()), dq_dlens.data(), &at, 1, &lens_,
-                       camera.intrinsics.data()) ||
-        !(q.x >= 0 && q.y >= 0 && q.x <= camera.width - 1 && q.y <= camera.height - 1))
-      return false;
-    const Eigen::Matrix3d dp_dr =
-        -pose.R * cross_matrix(point.direction) * right_jacobian(vector_from_rotation(pose.R));
-    const Pose rig_from_cam = (pose * ref_from_rig_).inverse();
+    const std::optional<CameraSight> seen = camera_sight(camera, lens_, point);
+    if (!seen || !seen->in_picture) return false;
+    const Pose rig_from_cam = (camera.cam_from_rig * ref_from_rig_).inverse();  // cam_from_ref, here
     const Eigen::Rotation2Dd upright(std::atan2(rig_from_cam.R(1, 0), rig_from_cam.R(0, 0)));
-    sight.J.resize(2, lens_states + 6);
-    sight.J << dq_dlens, dq_dp * dp_dr, point.inverse_m * dq_dp;
-    sight.J = upright.toRotationMatrix() * sight.J;
+    sight.J = upright.toRotationMatrix() * seen->by_states;
     sight.place = rig_from_cam.t.head<2>();
     return true;
   }
@@ -72,7 +50,7 @@ class Sights {
   const JointSolution& solution_;
   Pose ref_from_rig_;
   const std::vector<int>& which_;
-  mrcal_lensmodel_t lens_ = {};
+  mrcal_lensmodel_t lens_;
 };
 
 Eigen::MatrixXd covariance_of(const std::vector<Sight>& sights, const JointSolution& solution) {

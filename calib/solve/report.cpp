@@ -16,18 +16,69 @@ Json list(const Vector& v) {
   return json;
 }
 
+Json maps_json(const CameraSummary& summary) {
+  Json rows = Json::array();
+  for (const ProjectionMap& map : summary.maps)
+    rows.push_back({{"distance_m", number(map.distance_m)},
+                    {"rms_px", number(map.rms_px)},
+                    {"worst_px", number(map.worst_px)},
+                    {"middle_px", number(map.centre_px)}});
+  return rows;
+}
+
 Json camera_json(const RigCamera& rc, const CameraSummary& summary) {
   const bool known = rc.determined;
   const Camera& camera = rc.camera;
+  const auto if_known = [&](const auto& v) { return known ? list(v) : Json(nullptr); };
+  return {{"name", camera.name},
+          {"row", rc.row},
+          {"col", rc.col},
+          {"focal_px", if_known(Eigen::Vector2d(camera.intrinsics[0], camera.intrinsics[1]))},
+          {"focal_sigma_px", if_known(summary.focal_sigma_px)},
+          {"position_m", if_known(camera.cam_from_rig.centre())},
+          {"position_sigma_m", if_known(rc.position_sigma_m)},
+          {"rotation_sigma_rad", if_known(summary.rotation_sigma_rad)},
+          {"rms_px", number(summary.rms_px)},
+          {"noise_px", number(summary.noise_px)},
+          {"boards", summary.boards},
+          {"coverage", number(summary.coverage)},
+          {"tilt_rad", number(summary.seen.tilt_rad)},
+          {"projection", maps_json(summary)},
+          {"determined", known},
+          {"reason", summary.undetermined.empty() ? Json(nullptr) : Json(summary.undetermined)}};
+}
+
+Json left_out_json(const Calibration& c) {
+  if (!c.validation || !c.validation->left_out) return nullptr;
+  const CrossValidation& cv = *c.validation->left_out;
+  return {{"folds", cv.folds}, {"rms_px", number(cv.rms_px)}, {"predicted_px", number(cv.predicted_px)}};
+}
+
+Json halves_json(const Calibration& c) {
+  if (!c.validation || !c.validation->halves) return nullptr;
+  const HalfData& h = *c.validation->halves;
+  Json cameras = Json::array();
+  for (const HalfData::Camera& camera : h.cameras)
+    cameras.push_back({{"name", c.observations.camera_names[camera.camera]},
+                       {"lens_px", number(camera.lens_px)},
+                       {"lens_predicted_px", number(camera.lens_predicted_px)},
+                       {"position_m", number(camera.centre_m)},
+                       {"position_predicted_m", number(camera.centre_predicted_m)}});
   return {
-      {"name", camera.name},
-      {"row", rc.row},
-      {"col", rc.col},
-      {"focal_px", known ? list(Eigen::Vector2d(camera.intrinsics[0], camera.intrinsics[1])) : Json(nullptr)},
-      {"position_m", known ? list(camera.cam_from_rig.centre()) : Json(nullptr)},
-      {"position_sigma_m", known ? list(rc.position_sigma_m) : Json(nullptr)},
-      {"rms_px", number(summary.rms_px)},
-      {"determined", known}};
+      {"lens_ratio", number(h.lens_ratio)}, {"position_ratio", number(h.centre_ratio)}, {"cameras", cameras}};
+}
+
+Json structure_json(const Calibration& c) {
+  const ResidualStructure& s = c.structure;
+  Json sets = Json::array();
+  for (const auto& set : s.sets)
+    sets.push_back({{"name", c.observations.set_names[set.set]},
+                    {"rms_px", number(set.rms_px)},
+                    {"shift_px", number(set.view_px)}});
+  return {{"by_position", {{"px", number(s.position_px)}, {"ratio", number(s.position_ratio)}}},
+          {"by_view", {{"px", number(s.view_px)}, {"ratio", number(s.view_ratio)}}},
+          {"by_row", {{"px", number(s.row_px)}, {"ratio", number(s.row_ratio)}}},
+          {"sets", sets}};
 }
 
 Json ghosting_json(const Calibration& c) {
@@ -52,20 +103,31 @@ Json report_json(const Calibration& c, double seconds, double seconds_corners) {
   const auto spacing = [](const Eigen::Vector2d& step) {
     return step.norm() > 0 ? Json(step.norm()) : Json(nullptr);
   };
+  const auto sigma = [](double step, double value) { return step > 0 ? number(value) : Json(nullptr); };
+  const double s_spacing = c.rig.s_step_m.norm(), t_spacing = c.rig.t_step_m.norm();
   const double corners = std::max(1, s.inliers + s.outliers);
-  return {{"rms_px", number(s.rms_px)},
-          {"worst_px", number(s.worst_px)},
-          {"outlier_fraction", s.outliers / corners},
-          {"cameras", cameras},
-          {"plane",
-           {{"rms_off_plane_m", number(c.rig.rms_off_plane_m)},
-            {"spacing_m", {spacing(c.rig.s_step_m), spacing(c.rig.t_step_m)}}}},
-          {"cross_validation_px", c.cross_validation_px ? number(*c.cross_validation_px) : Json(nullptr)},
-          {"ghosting", ghosting_json(c)},
-          {"verdict", {{"good", c.good}, {"reasons", c.reasons}}},
-          {"notes", c.notes},
-          {"seconds", seconds},
-          {"seconds_corners", seconds_corners}};
+  return {
+      {"rms_px", number(s.rms_px)},
+      {"worst_px", number(s.worst_px)},
+      {"outlier_fraction", s.outliers / corners},
+      {"cameras", cameras},
+      {"plane",
+       {{"rms_off_plane_m", number(c.rig.rms_off_plane_m)},
+        {"spacing_m", {spacing(c.rig.s_step_m), spacing(c.rig.t_step_m)}},
+        {"spacing_sigma_m",
+         {sigma(s_spacing, c.lattice_sigma.s_spacing_m), sigma(t_spacing, c.lattice_sigma.t_spacing_m)}}}},
+      {"cross_validation_px", c.cross_validation_px ? number(*c.cross_validation_px) : Json(nullptr)},
+      {"left_out", left_out_json(c)},
+      {"half_data", halves_json(c)},
+      {"residuals", structure_json(c)},
+      {"board_warp_m", list(s.warp_m)},
+      {"noise_px", number(s.noise_px)},
+      {"ghosting", ghosting_json(c)},
+      {"verdict", {{"good", c.good}, {"reasons", c.reasons}}},
+      {"notes", c.notes},
+      {"advice", c.advice},
+      {"seconds", seconds},
+      {"seconds_corners", seconds_corners}};
 }
 
 }  // namespace stuv

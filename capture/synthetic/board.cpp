@@ -22,6 +22,13 @@ double bend_at(const BoardOptions& board, double x_m, double y_m) {
   return board.bend_m[0] * (1 - xr * xr) + board.bend_m[1] * (1 - yr * yr);
 }
 
+/// The outer squares or tags [m].
+Eigen::AlignedBox2d outline_of(const BoardOptions& board) {
+  if (board.pattern) return board.pattern->outline;
+  const double s = board.square_m;
+  return {Eigen::Vector2d(-s, -s), Eigen::Vector2d(board.columns * s, board.rows * s)};
+}
+
 /// Share of [x - w/2, x + w/2] that lies in [low, high].
 float averaged_inside(float x, float w, float low, float high) {
   const float scale = 1 / std::max(w, 1e-6F);
@@ -41,15 +48,89 @@ float averaged_wave(float x, float w, int n) {
   return rising * side;
 }
 
-/// Light of the board around (x, y), in squares from the first inner corner, over a box of wx by wy squares.
-float board_light(const BoardOptions& board, float x, float y, float wx, float wy) {
+float overlap(float x, float w, float low, float high) {
+  return std::max(0.0F, std::min(x + 0.5F * w, high) - std::max(x - 0.5F * w, low)) / w;
+}
+
+/// A pattern's boxes cut up by squares of the lattice, so that only those near a place are looked at.
+class PatternIndex {
+ public:
+  explicit PatternIndex(const BoardOptions& board) {
+    if (!board.pattern) return;
+    const double s = board.square_m;
+    const Eigen::AlignedBox2d outline = board.pattern->outline;
+    origin_ = (outline.min() / s).array().floor().cast<int>();
+    const Eigen::Vector2i end = (outline.max() / s).array().ceil().cast<int>();
+    width_ = end.x() - origin_.x();
+    height_ = end.y() - origin_.y();
+    cells_.resize(static_cast<std::size_t>(width_) * static_cast<std::size_t>(height_));
+    for (const Eigen::AlignedBox2d& box : board.pattern->dark)
+      add(Eigen::AlignedBox2f((box.min() / s).cast<float>(), (box.max() / s).cast<float>()));
+  }
+
+  /// Share of the box of wx by wy squares around (x, y) that is dark.
+  float dark(float x, float y, float wx, float wy) const {
+    wx = std::max(wx, 1e-6F);
+    wy = std::max(wy, 1e-6F);
+    const int x0 = column(x - 0.5F * wx), x1 = column(x + 0.5F * wx);
+    const int y0 = row(y - 0.5F * wy), y1 = row(y + 0.5F * wy);
+    float sum = 0;
+    for (int cy = y0; cy <= y1; ++cy)
+      for (int cx = x0; cx <= x1; ++cx)
+        for (const Eigen::AlignedBox2f& b : cell(cx, cy))
+          sum += overlap(x, wx, b.min().x(), b.max().x()) * overlap(y, wy, b.min().y(), b.max().y());
+    return sum;
+  }
+
+ private:
+  int column(float x) const {
+    return std::clamp(static_cast<int>(std::floor(x)) - origin_.x(), 0, width_ - 1);
+  }
+  int row(float y) const { return std::clamp(static_cast<int>(std::floor(y)) - origin_.y(), 0, height_ - 1); }
+  const std::vector<Eigen::AlignedBox2f>& cell(int cx, int cy) const {
+    return cells_[static_cast<std::size_t>(cy) * static_cast<std::size_t>(width_) +
+                  static_cast<std::size_t>(cx)];
+  }
+  void add(const Eigen::AlignedBox2f& box) {
+    for (int cy = row(box.min().y()); cy <= row(box.max().y()); ++cy)
+      for (int cx = column(box.min().x()); cx <= column(box.max().x()); ++cx) {
+        const Eigen::Vector2f corner = (origin_ + Eigen::Vector2i(cx, cy)).cast<float>();
+        const Eigen::AlignedBox2f part =
+            box.intersection(Eigen::AlignedBox2f(corner, corner + Eigen::Vector2f::Ones()));
+        if (!part.isEmpty() && part.volume() > 0)
+          cells_[static_cast<std::size_t>(cy) * static_cast<std::size_t>(width_) +
+                 static_cast<std::size_t>(cx)]
+              .push_back(part);
+      }
+  }
+
+  Eigen::Vector2i origin_ = {0, 0};
+  int width_ = 0, height_ = 0;
+  std::vector<std::vector<Eigen::AlignedBox2f>> cells_;
+};
+
+/// Part of the box of wx by wy squares around (x, y) that is black.
+float dark_share(const BoardOptions& board, const PatternIndex& index, float x, float y, float wx, float wy) {
+  if (board.pattern) {
+    const float dark = index.dark(x, y, wx, wy);
+    return board.pattern->inverted ? 1 - dark : dark;
+  }
   const auto columns = static_cast<float>(board.columns), rows = static_cast<float>(board.rows);
-  const auto margin = static_cast<float>(board.margin_squares);
-  const float sheet = averaged_inside(x, wx, -1 - margin, columns + margin) *
-                      averaged_inside(y, wy, -1 - margin, rows + margin);
   const float squares = averaged_inside(x, wx, -1, columns) * averaged_inside(y, wy, -1, rows);
-  const float dark = 0.5F * (squares - averaged_wave(x, std::min(wx, 1.0F), board.columns) *
-                                           averaged_wave(y, std::min(wy, 1.0F), board.rows));
+  return 0.5F * (squares - averaged_wave(x, std::min(wx, 1.0F), board.columns) *
+                               averaged_wave(y, std::min(wy, 1.0F), board.rows));
+}
+
+/// Light of the board around (x, y), in squares from the first inner corner, over a box of wx by wy squares.
+float board_light(const BoardOptions& board, const PatternIndex& index, float x, float y, float wx,
+                  float wy) {
+  const auto columns = static_cast<float>(board.columns), rows = static_cast<float>(board.rows);
+  const Eigen::AlignedBox2d outline = outline_of(board);
+  const auto margin = static_cast<float>(board.margin_squares);
+  const Eigen::Vector2f low = (outline.min() / board.square_m).cast<float>().array() - margin,
+                        high = (outline.max() / board.square_m).cast<float>().array() + margin;
+  const float sheet = averaged_inside(x, wx, low.x(), high.x()) * averaged_inside(y, wy, low.y(), high.y());
+  const float dark = dark_share(board, index, x, y, wx, wy);
   // A little shading over the sheet, as no lamp lights evenly.
   const float shading = 1 - 0.1F * (x / columns - 0.5F) - 0.08F * (y / rows - 0.5F);
   const float on_sheet = shading * (kWhite + (kBlack - kWhite) * dark);
@@ -59,12 +140,14 @@ float board_light(const BoardOptions& board, float x, float y, float wx, float w
 /// Where a ray of the camera meets the board.
 struct BoardPlane {
   const BoardOptions& board;
+  PatternIndex pattern;
   Eigen::Vector3d origin;  // the camera's centre in the board's frame
   Eigen::Matrix3d board_from_cam;
   bool bent;
 
   BoardPlane(const BoardOptions& options, const Pose& cam_from_board)
       : board(options),
+        pattern(options),
         origin(cam_from_board.centre()),
         board_from_cam(cam_from_board.R.transpose()),
         bent(options.bend_m[0] != 0 || options.bend_m[1] != 0) {}
@@ -103,7 +186,7 @@ void render_row(const BoardPlane& plane, const LensGrid& lens, int y, int first,
     float sum = 0;
     for (const auto& row : p)
       for (const Eigen::Vector2d& s : row)
-        sum += board_light(plane.board, static_cast<float>(s.x()), static_cast<float>(s.y()),
+        sum += board_light(plane.board, plane.pattern, static_cast<float>(s.x()), static_cast<float>(s.y()),
                            static_cast<float>(w.x()), static_cast<float>(w.y()));
     out[x] = 0.25F * sum;
   }
@@ -114,12 +197,13 @@ Eigen::AlignedBox2i outline(const BoardOptions& board, const Camera& camera, con
   const Eigen::AlignedBox2i picture(Eigen::Vector2i(0, 0), Eigen::Vector2i(camera.width, camera.height));
   constexpr int steps = 24, spare_px = 4;
   std::vector<Eigen::Vector3d> points;
-  const double low = -1 - board.margin_squares, width = board.columns - 2 * low - 1,
-               height = board.rows - 2 * low - 1;
+  Eigen::AlignedBox2d sheet = outline_of(board);
+  sheet.min().array() -= board.margin_squares * board.square_m;
+  sheet.max().array() += board.margin_squares * board.square_m;
   for (int j = 0; j <= steps; ++j)
     for (int i = 0; i <= steps; ++i) {
-      const double x = (low + width * i / steps) * board.square_m,
-                   y = (low + height * j / steps) * board.square_m;
+      const double x = sheet.min().x() + sheet.sizes().x() * i / steps,
+                   y = sheet.min().y() + sheet.sizes().y() * j / steps;
       points.emplace_back(cam_from_board * Eigen::Vector3d(x, y, bend_at(board, x, y)));
       if (points.back().z() < 0.5 * points.back().norm())
         return picture;  // the lens model may fold out there
@@ -138,12 +222,13 @@ Eigen::AlignedBox2i outline(const BoardOptions& board, const Camera& camera, con
 /// Whether the camera sees all squares, with a few pixels to spare.
 bool sees_whole(const BoardOptions& board, const Camera& camera, const Pose& rig_from_board) {
   constexpr double spare_px = 6;
-  const double s = board.square_m;
+  const Eigen::AlignedBox2d outline = outline_of(board);
+  const Eigen::Vector2d low = outline.min(), middle = outline.center(), high = outline.max();
   std::vector<Eigen::Vector3d> points;
   const Pose cam_from_board = camera.cam_from_rig * rig_from_board;
-  for (const double x : {-1.0, 0.5 * board.columns, 1.0 * board.columns})
-    for (const double y : {-1.0, 0.5 * board.rows, 1.0 * board.rows}) {
-      points.emplace_back(cam_from_board * Eigen::Vector3d(x * s, y * s, 0));
+  for (const double x : {low.x(), middle.x(), high.x()})
+    for (const double y : {low.y(), middle.y(), high.y()}) {
+      points.emplace_back(cam_from_board * Eigen::Vector3d(x, y, 0));
       if (points.back().z() < 0.05) return false;
     }
   for (const Eigen::Vector2d& q : project(camera, points))
@@ -167,7 +252,7 @@ Pose candidate(const BoardOptions& board, const std::vector<Camera>& cameras, st
   const auto draw = [&](std::uint64_t key, double low, double high) {
     return low + (high - low) * uniform(hash({h, key}));
   };
-  const double width = (board.columns + 1) * board.square_m, height = (board.rows + 1) * board.square_m;
+  const double width = outline_of(board).sizes().x(), height = outline_of(board).sizes().y();
   const Camera& camera = cameras.front();
   const double fx = camera.intrinsics[0], fy = camera.intrinsics[1];
   // Near and far in turn: the board takes from nearly all to less than half of the picture.
@@ -192,7 +277,10 @@ Pose candidate(const BoardOptions& board, const std::vector<Camera>& cameras, st
 }  // namespace
 
 std::string problem_of(const BoardOptions& board) {
-  if (board.columns < 3 || board.rows < 3 || board.columns > 200 || board.rows > 200)
+  if (!board.spec.empty() && !board.pattern) return "";  // its own reader judges it
+  if (board.columns < 2 || board.rows < 2 || board.columns > 1000 || board.rows > 1000)
+    return fmt::format("corners is {}x{}, but each must lie in 2..1000", board.columns, board.rows);
+  if (!board.pattern && (board.columns < 3 || board.rows < 3 || board.columns > 200 || board.rows > 200))
     return fmt::format("corners is {}x{}, but each must lie in 3..200", board.columns, board.rows);
   if (!(board.square_m > 0 && std::isfinite(board.square_m)))
     return fmt::format("square_m is {}, but must be above 0", board.square_m);

@@ -2,18 +2,33 @@
 
 #include <array>
 #include <cstdint>
+#include <memory>
 #include <string>
 #include <vector>
+
+#include <Eigen/Geometry>
 
 #include "core/camera.h"
 #include "core/raster.h"
 
 namespace stuv::synthetic {
 
-/// A chessboard. Its frame: origin at the first inner corner, x along a row of corners, y along a column, z
-/// away from the camera that sees x right and y down.
+/// What is drawn on a board that is no chessboard, in its frame [m]. (The room does not know calibration
+/// boards: the program fills this from calib/board/pattern.h.)
+struct BoardPattern {
+  std::vector<Eigen::AlignedBox2d> dark;  ///< that do not overlap
+  Eigen::AlignedBox2d outline;            ///< of squares or tags
+  bool inverted = false;                  ///< black and white exchanged
+};
+
+/// A chessboard, or what `pattern` says. Its frame: origin at the first inner corner, x along a row of
+/// corners, y along a column, z away from the camera that sees x right and y down.
 struct BoardOptions {
-  int columns = 10, rows = 7;  ///< inner corners
+  /// Text of --board for a board that is no chessboard: then corners, size and pattern are those of that
+  /// board.
+  std::string spec;
+  std::shared_ptr<const BoardPattern> pattern;
+  int columns = 10, rows = 7;  ///< inner corners; of a pattern, its lattice
   double square_m = 0.04;
   double margin_squares = 0.5;  ///< white around the squares
   /// Bend: z = bend_x (1 - x_r^2) + bend_y (1 - y_r^2), where x_r, y_r run from -1 to 1 over the corners.

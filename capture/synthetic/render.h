@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <cstdint>
 
 #include "capture/synthetic/scene.h"
@@ -34,13 +35,15 @@ struct Exposure {
   double gain = 1;         ///< factor on the light
   double vignetting = 0;   ///< loss in the corners: light * (1 - vignetting r^2), r = 1 in the corner
   std::uint64_t seed = 0;  ///< of the noise: a number of its own for every picture
+  std::array<double, 3> colour_gain = {1, 1, 1};  ///< factor on each channel's light
+  double offset = 0;                              ///< added to stored values, 0..1
 };
 
 /// Stored values of light without any noise, 0..1.
 ImageF encode(const ImageF& light, const SensorOptions& sensor);
 
-/// The 8-bit picture: gain, vignetting, shot and read noise, gamma. One channel of light gives `channels`
-/// equal ones with independent noise.
+/// The 8-bit picture: gains, vignetting, shot and read noise, gamma, offset. One channel of light gives
+/// `channels` equal ones with independent noise.
 Image expose(const ImageF& light, int channels, const SensorOptions& sensor, const Exposure& exposure);
 
 }  // namespace stuv::synthetic

@@ -20,7 +20,9 @@ enum Property : std::uint64_t {
   kDistortion = 9,
   kGain = 13,
   kVignetting,
-  kTimeSkew
+  kTimeSkew,
+  kColourGain,
+  kOffset = kColourGain + 3
 };
 
 std::string name_of_place(int row, int col) { return fmt::format("r{}c{}", row, col); }
@@ -84,6 +86,8 @@ std::string problem_of(const JitterOptions& jitter) {
                                     {"focal_relative", jitter.focal_relative},
                                     {"principal_point_px", jitter.principal_point_px},
                                     {"gain_relative", jitter.gain_relative},
+                                    {"colour_gain_relative", jitter.colour_gain_relative},
+                                    {"offset", jitter.offset},
                                     {"vignetting", jitter.vignetting},
                                     {"time_skew_ns", jitter.time_skew_ns}})
     if (negative(value)) return fmt::format("jitter.{} is {}, but must be 0 or more", name, value);
@@ -107,6 +111,8 @@ std::string problem_of(const RigOptions& options) {
     if (!std::isfinite(k)) return "distortion must be finite";
   if (!(options.vignetting >= 0 && options.vignetting < 1))
     return fmt::format("vignetting is {}, but must lie in 0..1", options.vignetting);
+  if (!(std::abs(options.offset) <= 0.5))
+    return fmt::format("offset is {}, but must lie in -0.5..0.5", options.offset);
   for (const std::string& name : options.missing) {
     int row = -1, col = -1, end = 0;
     if (std::sscanf(name.c_str(), "r%dc%d%n", &row, &col, &end) != 2 ||
@@ -143,6 +149,11 @@ TrueRig make_rig(const RigOptions& options) {
       camera.camera = make_camera(options, row, col, camera.off_lattice_m);
       rig.cameras.push_back(std::move(camera));
       result.gain.push_back(std::max(0.05, 1 + draw(kGain, jitter.gain_relative)));
+      std::array<double, 3> colour;
+      for (std::size_t c = 0; c < 3; ++c)
+        colour[c] = std::max(0.05, 1 + draw(kColourGain + c, jitter.colour_gain_relative));
+      result.colour_gain.push_back(colour);
+      result.offset.push_back(std::clamp(options.offset + draw(kOffset, jitter.offset), -0.5, 0.5));
       result.vignetting.push_back(
           std::clamp(options.vignetting + draw(kVignetting, jitter.vignetting), 0.0, 0.95));
       result.time_skew_ns.push_back(std::llround(draw(kTimeSkew, jitter.time_skew_ns)));

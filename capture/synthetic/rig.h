@@ -18,7 +18,9 @@ struct JitterOptions {
   std::array<double, 4> distortion = {0.005, 0.003, 0.0003, 0.0003};  ///< of k1, k2, p1, p2
   double gain_relative = 0.02;
   double vignetting = 0.03;
-  double time_skew_ns = 0;  ///< of the moment of exposure
+  double time_skew_ns = 0;          ///< of the moment of exposure
+  double colour_gain_relative = 0;  ///< of each channel, beside the gain
+  double offset = 0;                ///< of stored values, 0..1
 };
 
 struct RigOptions {
@@ -29,6 +31,7 @@ struct RigOptions {
   double focal_px = 600;
   std::array<double, 4> distortion = {-0.08, 0.02, 0, 0};  ///< mean k1, k2, p1, p2 (LENSMODEL_OPENCV4)
   double vignetting = 0.15;                                ///< mean loss of light in the picture's corners
+  double offset = 0;                                       ///< mean, added to stored values, 0..1
   std::vector<std::string> missing;                        ///< names of places without a camera: r0c1
   JitterOptions jitter;
 };
@@ -39,6 +42,8 @@ struct TrueRig {
   Rig rig;
   // One per camera, in the order of rig.cameras:
   std::vector<double> gain;
+  std::vector<std::array<double, 3>> colour_gain;
+  std::vector<double> offset;
   std::vector<double> vignetting;
   std::vector<std::int64_t> time_skew_ns;
 };

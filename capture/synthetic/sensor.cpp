@@ -13,11 +13,12 @@ namespace {
 
 /// 8-bit stored value of light 0..1 in steps of 1/65535: pow() for every pixel would cost as much as the
 /// rest.
-std::vector<std::uint8_t> encoding_table(double gamma) {
+std::vector<std::uint8_t> encoding_table(double gamma, double offset) {
   std::vector<std::uint8_t> table(65536);
-  for (std::size_t i = 0; i < table.size(); ++i)
-    table[i] =
-        static_cast<std::uint8_t>(std::lround(255 * std::pow(static_cast<double>(i) / 65535, 1 / gamma)));
+  for (std::size_t i = 0; i < table.size(); ++i) {
+    const double stored = std::pow(static_cast<double>(i) / 65535, 1 / gamma) + offset;
+    table[i] = static_cast<std::uint8_t>(std::lround(255 * std::clamp(stored, 0.0, 1.0)));
+  }
   return table;
 }
 
@@ -54,7 +55,7 @@ ImageF encode(const ImageF& light, const SensorOptions& sensor) {
 }
 
 Image expose(const ImageF& light, int channels, const SensorOptions& sensor, const Exposure& exposure) {
-  const std::vector<std::uint8_t> table = encoding_table(sensor.gamma);
+  const std::vector<std::uint8_t> table = encoding_table(sensor.gamma, exposure.offset);
   const NoiseModel noisy(sensor);
   Image image{light.width, light.height, channels, PixelType::u8, {}, {}};
   image.bytes.resize(static_cast<std::size_t>(light.width) * light.height * channels);
@@ -64,8 +65,9 @@ Image expose(const ImageF& light, int channels, const SensorOptions& sensor, con
     std::size_t to = static_cast<std::size_t>(y) * light.width * channels;
     for (int x = 0; x < light.width; ++x) {
       const double r2 = ((x - cx) * (x - cx) + (y - cy) * (y - cy)) / corner;
-      const auto factor = static_cast<float>(exposure.gain * (1 - exposure.vignetting * r2));
+      const double common = exposure.gain * (1 - exposure.vignetting * r2);
       for (int c = 0; c < channels; ++c, ++to) {
+        const auto factor = static_cast<float>(common * exposure.colour_gain[static_cast<std::size_t>(c)]);
         const float ideal = factor * from[x * light.channels + std::min(c, light.channels - 1)];
         const float value = noisy(ideal, mix(exposure.seed ^ mix(to)));
         image.bytes[to] = static_cast<std::byte>(

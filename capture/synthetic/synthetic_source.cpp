@@ -54,7 +54,9 @@ class SyntheticSource final : public Source {
     const BoardOptions& board = options_.board;
     return {{"kind", "synthetic"},
             {"seed", options_.rig.seed},
-            {"board", fmt::format("chessboard:{}x{}:{}mm", board.columns, board.rows, 1000 * board.square_m)},
+            {"board", !board.spec.empty() ? board.spec
+                                          : fmt::format("chessboard:{}x{}:{}mm", board.columns, board.rows,
+                                                        1000 * board.square_m)},
             {"board_sets", options_.board_sets},
             {"scene_sets", options_.scene_sets}};
   }
@@ -89,10 +91,11 @@ class SyntheticSource final : public Source {
     frame.sequence = current_;
     // Counted from one interval before the first set, so that skew makes no time negative.
     frame.timestamp_ns = (current_ + 1) * options_.set_interval_ns + truth_.time_skew_ns[i];
-    const Exposure exposure{truth_.gain[i], truth_.vignetting[i],
-                            hash({options_.rig.seed, 0x401, static_cast<std::uint64_t>(current_),
-                                  static_cast<std::uint64_t>(truth_.rig.cameras[i].row),
-                                  static_cast<std::uint64_t>(truth_.rig.cameras[i].col)})};
+    const std::uint64_t seed = hash({options_.rig.seed, 0x401, static_cast<std::uint64_t>(current_),
+                                     static_cast<std::uint64_t>(truth_.rig.cameras[i].row),
+                                     static_cast<std::uint64_t>(truth_.rig.cameras[i].col)});
+    const Exposure exposure{truth_.gain[i], truth_.vignetting[i], seed, truth_.colour_gain[i],
+                            truth_.offset[i]};
     frame.content = expose(light_of(camera, i), 3, options_.sensor, exposure);
     return frame;
   }
@@ -115,6 +118,8 @@ class SyntheticSource final : public Source {
     for (std::size_t i = 0; i < cameras_.size(); ++i)
       exposures.push_back({{"camera", cameras_[i].name},
                            {"gain", truth_.gain[i]},
+                           {"colour_gain", truth_.colour_gain[i]},
+                           {"offset", truth_.offset[i]},
                            {"vignetting", truth_.vignetting[i]},
                            {"time_skew_ns", truth_.time_skew_ns[i]}});
     write_json(truth / "exposures.json", {{"cameras", exposures}});
@@ -177,6 +182,8 @@ std::vector<Pose> board_poses(const SyntheticOptions& options) {
 
 std::unique_ptr<Source> open_synthetic(const SyntheticOptions& options) {
   if (const std::string problem = problem_of(options); !problem.empty()) throw std::invalid_argument(problem);
+  if (!options.board.spec.empty() && !options.board.spec.starts_with("chessboard:") && !options.board.pattern)
+    throw std::invalid_argument("the board's spec has not been turned into a pattern");
   return std::make_unique<SyntheticSource>(options);
 }
 

@@ -31,8 +31,8 @@ std::vector<Pose> board_poses(const SyntheticOptions& options);
 ///
 /// Beside the frames it writes REC/truth/: rig.json and cameras/NAME.cameramodel (a rig folder, in the frame
 /// of the nominal lattice), boards.json (board, its pose and exact corner pixels per set and camera),
-/// exposures.json (gain, vignetting, time skew), depth/SET/NAME.pfm (Z along each camera's axis [m]).
-/// Throws std::invalid_argument if problem_of() has one.
+/// exposures.json (gains, offset, vignetting, time skew), depth/SET/NAME.pfm (Z along each camera's axis
+/// [m]). Throws std::invalid_argument if problem_of() has one.
 std::unique_ptr<Source> open_synthetic(const SyntheticOptions& options);
 
 }  // namespace stuv::synthetic

@@ -87,8 +87,7 @@ ImageF true_picture(const LightField& lf, const Pose& align, const Eigen::Vector
   camera.height = lf.height;
   camera.cam_from_rig = Pose{Eigen::Matrix3d::Identity(), -place} * align.inverse();
   const synthetic::SensorOptions noiseless{2.2, 0, 0};
-  const synthetic::Exposure average{1, 0.15,
-                                    0};  // the rig's mean vignetting: nothing in the chain takes it out
+  const synthetic::Exposure average{1, 0, 0};  // calibrate finds the vignetting, rectify takes it out
   return to_float(
       synthetic::expose(synthetic::render_picture(synthetic::Scene(), camera).colour, 3, noiseless, average));
 }

@@ -175,7 +175,7 @@ TEST_CASE("cameras that look aside shift the principal point, cameras that look 
                right = view.cx_px + view.focal_px * std::tan(half - 0.1);
   CHECK(0.5 * (left + right) == Approx(159.5).margin(1e-6));
   CHECK_THROWS_WITH(common_view(rig_of({camera_with({0, 2.5, 0})})), Contains("cam0"));
-  CHECK_THROWS_AS(common_view(Rig{}), std::invalid_argument);
+  CHECK_THROWS_AS(common_view(Rig{}), Error);
 }
 
 TEST_CASE("rectify makes a light field and leaves holes where pictures are missing") {
@@ -204,4 +204,73 @@ TEST_CASE("rectify makes a light field and leaves holes where pictures are missi
                     Contains("c.png") && Contains("100x100"));
   set.frames = {{}, {}, {}};
   CHECK_THROWS_WITH(rectify(recording, set, rig, folder / "scene", {}, {}), Contains("no picture"));
+}
+
+TEST_CASE("rectify: the common field is whole in every view, and no larger one is") {
+  const Rig rig =
+      rig_of({camera_with({0.02, 0.05, 0.03}, {-0.15, 0.03, 0, 0}),
+              camera_with({-0.03, -0.04, 0.01}, {-0.12, 0.02, 0, 0}), camera_with({0.01, 0, 1.6})});
+  CommonViewOptions options;
+  options.field = CommonViewOptions::Field::common;
+  const CommonView common = common_view(rig, options);
+  options.field = CommonViewOptions::Field::all;
+  const CommonView all = common_view(rig, options);
+  CHECK(common.width > 150);
+  CHECK(all.width > common.width);
+  CHECK(all.height > common.height);
+  CommonView larger = common;  // by two pixels to every side
+  larger.cx_px += 2, larger.cy_px += 2, larger.width += 4, larger.height += 4;
+  int lacking = 0;
+  bool outside_all = false;
+  for (const RigCamera& rc : rig.cameras) {
+    const Image white = from_float(ImageF(320, 240, 1, 1.0F), PixelType::u8);
+    CHECK(warp_to_common_view(white, rc.camera, common).mask.empty());
+    lacking += warp_to_common_view(white, rc.camera, larger).mask.empty() ? 0 : 1;
+    // Every camera's own corners lie in the field of all.
+    for (const auto& ray : unproject(rc.camera, {{0, 0}, {319, 0}, {0, 239}, {319, 239}})) {
+      const Eigen::Vector3d r = rc.camera.cam_from_rig.R.transpose() * ray;
+      const double x = all.cx_px + all.focal_px * r.x() / r.z(), y = all.cy_px + all.focal_px * r.y() / r.z();
+      outside_all |= x < -1.01 || y < -1.01 || x > all.width + 0.01 || y > all.height + 0.01;
+    }
+  }
+  CHECK(lacking > 0);
+  CHECK_FALSE(outside_all);
+}
+
+TEST_CASE("rectify: focal length, size and crop are taken at their word") {
+  const Rig rig = rig_of({camera_with({0.02, 0.05, 0.03}), camera_with({-0.03, -0.04, 0.01})});
+  const CommonView whole = common_view(rig);
+  CommonViewOptions options;
+  options.crop = CommonViewOptions::Crop{40, 30, 100, 80};
+  const CommonView crop = common_view(rig, options);
+  CHECK(crop.width == 100);
+  CHECK(crop.cx_px == Approx(whole.cx_px - 40));
+  CHECK(crop.cy_px == Approx(whole.cy_px - 30));
+  // A crop is a part of the whole, to one level.
+  const Image image = from_float(picture_of_sky(rig.cameras[0].camera), PixelType::u8);
+  const Image a = warp_to_common_view(image, rig.cameras[0].camera, whole),
+              b = warp_to_common_view(image, rig.cameras[0].camera, crop);
+  int different = 0;
+  for (int y = 0; y < 80; ++y)
+    for (int x = 0; x < 100; ++x)
+      different += std::abs(int(a.bytes[(y + 30) * whole.width + x + 40]) - int(b.bytes[y * 100 + x])) > 1;
+  CHECK(different == 0);
+  options = {};
+  options.focal_px = 600;
+  CHECK(common_view(rig, options).width == 640);
+  options.width = 200, options.height = 100;
+  const CommonView sized = common_view(rig, options);
+  CHECK(sized.width == 200);
+  CHECK((sized.cx_px - 99.5) / 600 == Approx((whole.cx_px - 159.5) / 300));
+  options = {};
+  options.crop = CommonViewOptions::Crop{300, 0, 100, 80};
+  CHECK_THROWS_WITH(common_view(rig, options), Contains("320x240"));
+}
+
+TEST_CASE("rectify: cameras without a common field are named") {
+  const Rig rig = rig_of({camera_with({0, 0.6, 0}), camera_with({0, 0, 0}), camera_with({0, -0.6, 0})});
+  CommonViewOptions options;
+  options.field = CommonViewOptions::Field::common;
+  CHECK_THROWS_WITH(common_view(rig, options), Contains("cam0 and cam2"));
+  CHECK_NOTHROW(common_view(rig));
 }
