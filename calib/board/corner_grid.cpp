@@ -106,18 +106,6 @@ double window_radius(const Eigen::Vector2d& step_i, const Eigen::Vector2d& step_
   return std::clamp(share * height, kLeastPx, kMostPx);
 }
 
-void refine_grid(const CornerImage& image, CornerGrid& grid) {
-  CornerGrid refined;
-  for (const auto& [place, at] : grid) {
-    Eigen::Vector2d step_i, step_j;
-    refined[place] = at;
-    if (!steps_at(grid, place.first, place.second, step_i, step_j)) continue;
-    const double radius = window_radius(step_i, step_j);
-    if (const auto corner = refine_corner(image, at, radius, 0.5 * radius)) refined[place] = *corner;
-  }
-  grid = std::move(refined);
-}
-
 void fill_skipped(const CornerImage& image, CornerGrid& grid) {
   for (int axis = 0; axis < 2; ++axis) {
     CornerGrid doubled, halfway;

@@ -41,9 +41,6 @@ inline constexpr double kSquareShare = 0.45;
 double window_radius(const Eigen::Vector2d& step_i, const Eigen::Vector2d& step_j,
                      double share = kSquareShare);
 
-/// Refines all corners; those that cannot be stay where they are.
-void refine_grid(const CornerImage& image, CornerGrid& grid);
-
 /// Detectors may take every second row or column of corners for the grid: where the points halfway between
 /// neighbours are corners too, they become part of it and places along that axis count double.
 void fill_skipped(const CornerImage& image, CornerGrid& grid);

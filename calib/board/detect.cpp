@@ -95,8 +95,9 @@ cv::Rect around(const std::vector<Eigen::Vector2d>& corners) {
           static_cast<int>(size.y()) + 1};
 }
 
+/// `grown`: of each corner, or empty.
 std::vector<double> deviations(const CornerImage& image, const std::vector<Eigen::Vector2d>& corners,
-                               const Board& board) {
+                               const std::vector<bool>& grown, const Board& board) {
   const double noise = picture_noise(image, around(corners));
   std::vector<double> sigma(corners.size(), kNaN);
   for (std::size_t i = 0; i < corners.size(); ++i) {
@@ -108,7 +109,7 @@ std::vector<double> deviations(const CornerImage& image, const std::vector<Eigen
       covariance = corner_covariance(image, corners[i], radius, noise);
     constexpr double kUnknownPx = 0.5;
     const double random = covariance ? std::sqrt(0.5 * covariance->trace()) : kUnknownPx;
-    sigma[i] = std::hypot(kCornerFloorPx, random);
+    sigma[i] = std::hypot(!grown.empty() && grown[i] ? kGrownFloorPx : kCornerFloorPx, random);
   }
   return sigma;
 }
@@ -123,12 +124,18 @@ int BoardView::seen() const {
 BoardView detect_board(const Image& picture, const Board& board) {
   const CornerImage image = corner_image(picture, board);
   BoardView view;
-  view.corners_px =
-      board.kind == Board::Kind::chessboard ? detect_chessboard(image, board) : detect_markers(image, board);
+  std::vector<bool> grown;
+  if (board.kind == Board::Kind::chessboard) {
+    Chessboard found = detect_chessboard(image, board);
+    view.corners_px = std::move(found.corners_px);
+    grown = std::move(found.grown);
+  } else {
+    view.corners_px = detect_markers(image, board);
+  }
   for (Eigen::Vector2d& q : view.corners_px)
     if (!inside(q, image)) q.setConstant(kNaN);
   if (!usable(view.corners_px, board)) return {};
-  view.sigma_px = deviations(image, view.corners_px, board);
+  view.sigma_px = deviations(image, view.corners_px, grown, board);
   return view;
 }
 

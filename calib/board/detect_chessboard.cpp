@@ -5,6 +5,7 @@
 #include <cmath>
 #include <limits>
 #include <opencv2/calib3d.hpp>
+#include <set>
 
 #include "calib/board/corner_grid.h"
 
@@ -27,8 +28,9 @@ CornerGrid find_grid(const CornerImage& image, const Board& board) {
   const cv::Size least(std::min(5, board.columns), std::min(4, board.rows));
   std::vector<cv::Point2f> corners;
   cv::Mat meta;  // one entry a corner: its shape is the grid's
-  const bool found = cv::findChessboardCornersSB(image.grey, least, corners,
-                                                 cv::CALIB_CB_EXHAUSTIVE | cv::CALIB_CB_LARGER, meta);
+  const bool found = cv::findChessboardCornersSB(
+      image.grey, least, corners, cv::CALIB_CB_EXHAUSTIVE | cv::CALIB_CB_ACCURACY | cv::CALIB_CB_LARGER,
+      meta);
   if (!found || meta.empty() || corners.size() != meta.total()) return {};
   return grid_of(corners, meta.cols);
 }
@@ -187,11 +189,10 @@ void put_in_order(const CornerImage& image, const Board& board, std::vector<Eige
     std::reverse(corners.begin(), corners.end());
 }
 
-/// The grid refined, grown to all corners that can be seen, and laid on the board; empty if that cannot be done
-/// for certain.
+/// The grid grown to all corners that can be seen, and laid on the board; empty if that cannot be done for
+/// certain.
 std::vector<Eigen::Vector2d> lay_part(const CornerImage& image, CornerGrid grid, const Board& board) {
   if (grid.empty()) return {};
-  refine_grid(image, grid);
   fill_skipped(image, grid);
   const SquareColours colours = square_colours(image, grid);
   grow_grid(image, colours, std::max(board.columns, board.rows), grid);
@@ -199,14 +200,30 @@ std::vector<Eigen::Vector2d> lay_part(const CornerImage& image, CornerGrid grid,
   return ways.size() == 1 ? lay_out(grid, ways.front(), board) : std::vector<Eigen::Vector2d>{};
 }
 
+/// Which corners are not among those of `grid`.
+std::vector<bool> added_to(const CornerGrid& grid, const std::vector<Eigen::Vector2d>& corners) {
+  std::set<std::pair<double, double>> there;
+  for (const auto& [place, at] : grid) there.emplace(at.x(), at.y());
+  std::vector<bool> added;
+  for (const Eigen::Vector2d& q : corners) added.push_back(q.allFinite() && there.count({q.x(), q.y()}) == 0);
+  return added;
+}
+
 }  // namespace
 
-std::vector<Eigen::Vector2d> detect_chessboard(const CornerImage& image, const Board& board) {
-  // Whole boards keep OpenCV's corners: on real pictures they are twice as accurate as refined ones.
-  std::vector<Eigen::Vector2d> corners = find_whole(image, board);
-  if (corners.empty()) corners = lay_part(image, find_grid(image, board), board);
-  if (!corners.empty()) put_in_order(image, board, corners);
-  return corners;
+Chessboard detect_chessboard(const CornerImage& image, const Board& board) {
+  Chessboard found;
+  found.corners_px = find_whole(image, board);
+  CornerGrid grid;
+  if (found.corners_px.empty()) {
+    grid = find_grid(image, board);
+    found.corners_px = lay_part(image, grid, board);
+  }
+  if (found.corners_px.empty()) return found;
+  put_in_order(image, board, found.corners_px);
+  found.grown =
+      grid.empty() ? std::vector<bool>(found.corners_px.size(), false) : added_to(grid, found.corners_px);
+  return found;
 }
 
 }  // namespace stuv

@@ -70,7 +70,8 @@ Predicted predicted_error(const Observations& in, const JointSolution& fold, con
   if (n < 4) return {};
   Eigen::MatrixXd G(2 * n, 6);
   for (Eigen::Index i = 0; i < n; ++i) G.middleRows<2>(2 * i) = by_board[i];
-  G = G * G.colwise().norm().cwiseInverse().asDiagonal();
+  const Eigen::RowVectorXd scale = G.colwise().norm().cwiseInverse();  // a lazy one would change with G
+  G = G * scale.asDiagonal();
   const Eigen::MatrixXd Q =
       Eigen::HouseholderQR<Eigen::MatrixXd>(G).householderQ() * Eigen::MatrixXd::Identity(2 * n, 6);
   Eigen::MatrixXd QtJ = Eigen::MatrixXd::Zero(6, states);

@@ -71,6 +71,11 @@ void note_loose_lenses(Calibration& c, double noise, const CalibrationOptions& o
   for (std::size_t i = 0; i < c.cameras.size(); ++i) {
     CameraSummary& summary = c.cameras[i];
     if (!summary.undetermined.empty()) continue;
+    if (summary.boards < 2 && options.solve.known.empty() && !options.solve.shared_lens &&
+        c.cameras.size() > 1) {
+      summary.undetermined = boards_text(summary) + ", and nothing tells its lens from the board's pose";
+      continue;
+    }
     const double focal = noise * s.focal_sigma[i].maxCoeff() / std::abs(s.cameras[i].intrinsics[0]);
     if (!(focal < options.most_focal_sigma)) {
       summary.undetermined =
@@ -151,7 +156,7 @@ void judge_cameras(const Calibration& c, const CalibrationOptions& options, Text
 }
 
 /// Whether boards and halves of the data that were kept apart differ by what the uncertainty says.
-void judge_validation(const Calibration& c, Texts& reasons, Texts& notes) {
+void judge_validation(const Calibration& c, const CalibrationOptions& options, Texts& reasons, Texts& notes) {
   // Times the stated uncertainty. Real corners' errors are not independent of their neighbours': a factor of
   // two or three is common, and no fault that a user can mend. What is false but small does no harm.
   constexpr double kFalse = 5, kDoubtful = 2, kHarmlessPx = 0.5;
@@ -166,10 +171,11 @@ void judge_validation(const Calibration& c, Texts& reasons, Texts& notes) {
             "it is too small",
             cv->rms_px, cv->predicted_px));
     if (cv->rms_px > 5 * c.solution.rms_px)
-      notes.push_back(
-          fmt::format("a board that was left out is predicted to {:.2f} px only, the boards of the solve to "
-                      "{:.2f}: record more boards, tilted and out to the pictures' corners",
-                      cv->rms_px, c.solution.rms_px));
+      (cv->rms_px > options.most_ghosting_px ? reasons : notes)
+          .push_back(fmt::format(
+              "a board that was left out is predicted to {:.2f} px only, the boards of the solve to "
+              "{:.2f}: record more boards, tilted and out to the pictures' corners",
+              cv->rms_px, c.solution.rms_px));
   }
   if (const auto& h = c.validation->halves) {
     double sum_sq = 0;
@@ -284,7 +290,7 @@ void note_undetermined(Calibration& c, const CameraGroups& groups, const Calibra
 void judge(Calibration& c, const Recording& recording, const CalibrationOptions& options) {
   judge_fit(c, options, c.reasons);
   judge_cameras(c, options, c.reasons);
-  judge_validation(c, c.reasons, c.notes);
+  judge_validation(c, options, c.reasons, c.notes);
   if (!c.layout.as_recorded)
     c.notes.push_back(
         fmt::format("the recorded grid, {}x{}, does not fit where the cameras stand; rows and columns are "

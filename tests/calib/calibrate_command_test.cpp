@@ -84,7 +84,8 @@ void check_left_out(const LightField& lf, const fs::path& picture) {
   CHECK(psnr > 25);
 }
 
-/// Without set 112 the end cameras see a single board, and a solve with small residuals puts them anywhere.
+/// Without set 112 the end cameras see two boards, one of them in part: small residuals, but what was left
+/// out is not predicted.
 void check_without_set_112(const fs::path& rec, const fs::path& rig) {
   fs::remove_all(rec / "sets" / "112");
   const auto run =
@@ -94,7 +95,7 @@ void check_without_set_112(const fs::path& rec, const fs::path& rig) {
   const Json report = read_json(rig / "report.json");
   CHECK(report["rms_px"] < 0.065);  // which says nothing
   CHECK(report["verdict"]["good"] == false);
-  CHECK_THAT(run.out, Contains("camera 20 is not determined"));
+  CHECK_THAT(run.out, Contains("a board that was left out is predicted to"));
   int determined = 0;
   for (const Json& camera : report["cameras"]) {
     const bool single = camera["boards"] < 2;
@@ -107,7 +108,6 @@ void check_without_set_112(const fs::path& rec, const fs::path& rig) {
     CHECK(camera["focal_px"][0] < 1070);
   }
   CHECK(determined >= 17);
-  CHECK(report["cameras"][19]["determined"] == false);
 }
 
 }  // namespace

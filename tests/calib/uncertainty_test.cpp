@@ -9,7 +9,7 @@ using namespace stuv::test;
 using Catch::Contains;
 
 TEST_CASE("stated sigmas are those of the errors, and the errors at the Cramer-Rao bound") {
-  constexpr int kRigs = 40;
+  constexpr int kRigs = 60;
   std::vector<Tallies> each(kRigs);
   parallel_for(kRigs, [&](int i) { each[i] = tally(static_cast<unsigned>(i + 1), 0.3); });
   Tallies all;
