@@ -15,8 +15,8 @@ struct Chessboard {
 };
 
 /// Whole boards: OpenCV's findChessboardCornersSB (Duda, Frese, "Accurate Detection and Localization of
-/// Checkerboard Corners for Calibration", BMVC 2018), exhaustive. Else, a part of the board: SB's largest
-/// grid, grown corner by corner where a crossing of the right colours lies within reach of what its
+/// Checkerboard Corners for Calibration", BMVC 2018), plain, then exhaustive. Else, a part of the board: SB's
+/// largest grid, grown corner by corner where a crossing of the right colours lies within reach of what its
 /// neighbours predict. SB's corners stay as they are: on real pictures refine_corner is two to four times
 /// less accurate. Which part of the board it is must be certain, or there is no board: along each axis it
 /// spans the whole board, or exactly one of its ends is hidden, which it is where the next row of corners
