@@ -36,8 +36,8 @@ struct Previous {
 constexpr int kManyPlanes = 3;
 /// Smaller pictures leave nothing out.
 constexpr int kLeastSize = 128;
-/// Windows are cut at the borders of tiles that are at least so many times M wide: costs 0.03 dB, where
-/// narrower ones cost 0.1.
+/// Windows are cut above and below tiles that are at least so many times M high. Cut at all borders, they
+/// cost 0.1 dB of a scene.
 constexpr int kLeastTiles = 3;
 /// Of memory for brightness and for means; both are made anew from the pixels.
 constexpr std::size_t kGreyBudget = std::size_t{96} << 20, kCoarseBudget = std::size_t{64} << 20;
@@ -46,6 +46,9 @@ constexpr int kPlaneStep = 2;
 /// Of costs between the best and the mean of a coarse pixel, those that are as good as the best; and of full
 /// scale.
 constexpr float kEnough = 0.02F, kNoise = 0.02F / 255;
+
+/// A plane that more than this part of a tile's pixels chose wants its neighbours looked at.
+constexpr float kLeastFollowed = 0.03F;
 
 /// Tiles whose expectations were carried over at this part of their coarse pixels at least.
 constexpr double kLeastKnown = 0.9;
@@ -120,8 +123,8 @@ class FastRenderer : public Renderer {
   std::optional<Expectation> from_previous(const Viewpoint& view, const RenderOptions& options) const;
   static RowWork evaluate_tiles(SweepBlock& block, const TilePlan& plan, int row, bool coloured,
                                 const RenderOptions& options);
-  static double evaluate_gaps(SweepBlock& block, const TilePlan& plan, int row, int col,
-                              const RenderOptions& options);
+  static double follow(SweepBlock& block, int x0, int x1, std::vector<std::uint8_t>& looked);
+  static double evaluate_gaps(SweepBlock& block, int x0, int x1, const std::vector<std::uint8_t>& looked);
   static RowWork make_row(const Sweep& colour, const Sweep& grey, const TilePlan& plan, int row,
                           RenderedView& out);
   void fill_statistics(RenderedView& out, const RenderOptions& options, const TilePlan& tiles,
@@ -276,28 +279,58 @@ RowWork FastRenderer::evaluate_tiles(SweepBlock& block, const TilePlan& plan, in
       work.evaluated += pixels(col, end);
     }
   }
-  for (int col = 0; col < plan.cols; ++col)
-    if (!done[static_cast<std::size_t>(col)]) work.evaluated += evaluate_gaps(block, plan, row, col, options);
+  for (int col = 0; col < plan.cols; ++col) {
+    if (done[static_cast<std::size_t>(col)]) continue;
+    std::vector<std::uint8_t> looked(plan.at(row, col), plan.at(row, col) + plan.planes);
+    if (const int n = plan.chosen_at(row, col); n >= 0) looked[static_cast<std::size_t>(n)] = 1;
+    if (options.skips.tile_planes) work.evaluated += follow(block, left_of(col), right(col), looked);
+    work.evaluated += evaluate_gaps(block, left_of(col), right(col), looked);
+  }
   if (!coloured) work.brightness_only = work.evaluated;
   work.multiply_adds = block.multiply_adds();
   work.bytes = block.bytes();
   return work;
 }
 
+/// Where pixels chose a plane beside which nothing was looked at, the best one may lie further that way:
+/// looks there until none does. Of planes that are closer to each other than the coarse pass can tell, it
+/// chooses only a near one. Returns (pixel, plane) costs.
+double FastRenderer::follow(SweepBlock& block, int x0, int x1, std::vector<std::uint8_t>& looked) {
+  const PixelRect& rect = block.rect();
+  const int pixels = (x1 - x0) * (rect.y1 - rect.y0);
+  const int least = static_cast<int>(kLeastFollowed * static_cast<float>(pixels));
+  std::vector<int> count(looked.size());
+  double evaluated = 0;
+  for (bool more = true; more;) {
+    more = false;
+    std::fill(count.begin(), count.end(), 0);
+    for (int y = 0; y < rect.y1 - rect.y0; ++y)
+      for (int x = x0 - rect.x0; x < x1 - rect.x0; ++x)
+        if (const int n = block.plane(y)[x]; n >= 0) ++count[static_cast<std::size_t>(n)];
+    for (std::size_t n = 0; n < looked.size(); ++n) {
+      if (count[n] <= least) continue;
+      for (std::size_t next = n > 0 ? n - 1 : 0; next < std::min(n + 2, looked.size()); ++next) {
+        if (looked[next]) continue;
+        looked[next] = 1;
+        block.evaluate(static_cast<int>(next), x0, x1);
+        evaluated += pixels;
+        more = true;
+      }
+    }
+  }
+  return evaluated;
+}
+
 /// Where no camera sees the planes of a tile, at borders, other planes are seen: all are evaluated there.
 /// Returns (pixel, plane) costs.
-double FastRenderer::evaluate_gaps(SweepBlock& block, const TilePlan& plan, int row, int col,
-                                   const RenderOptions& options) {
-  const int x0 = left_of(col), x1 = right_of(col, block.rect());
-  PixelRect gap = block.without_plane(x0, x1);
+double FastRenderer::evaluate_gaps(SweepBlock& block, int x0, int x1,
+                                   const std::vector<std::uint8_t>& looked) {
+  const PixelRect gap = block.without_plane(x0, x1);
   if (gap.empty()) return 0;
-  // Room for windows, which may be cut beside it.
-  gap.x0 = std::max(gap.x0 - options.window, x0);
-  gap.x1 = std::min(gap.x1 + options.window, x1);
   double evaluated = 0;
-  for (int n = 0; n < plan.planes; ++n) {
-    if (plan.at(row, col)[n] != 0 || n == plan.chosen_at(row, col)) continue;
-    block.evaluate(n, gap);
+  for (std::size_t n = 0; n < looked.size(); ++n) {
+    if (looked[n]) continue;
+    block.evaluate(static_cast<int>(n), gap);
     evaluated += static_cast<double>(gap.x1 - gap.x0) * (gap.y1 - gap.y0);
   }
   return evaluated;

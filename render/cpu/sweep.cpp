@@ -596,9 +596,8 @@ void SweepBlock::clear_outside(std::vector<float>& raster, const PixelRect& padd
 
 /// Where windows around `part` lie.
 PixelRect SweepBlock::halo_of(const PixelRect& part) const {
-  const int margin = sweep_.windows == Windows::cut ? 0 : sweep_.M_x;
-  return intersection({part.x0 - margin, part.y0 - sweep_.M_y, part.x1 + margin, part.y1 + sweep_.M_y},
-                      halo_);
+  return intersection(
+      {part.x0 - sweep_.M_x, part.y0 - sweep_.M_y, part.x1 + sweep_.M_x, part.y1 + sweep_.M_y}, halo_);
 }
 
 /// inverse_: 1 / the pixels of each window that lie in `halo`.

@@ -31,7 +31,7 @@ RenderOptions focal_plane_options(double d_px, Filter filter);
 /// How far windows reach.
 enum class Windows {
   whole,  ///< to the border of the picture
-  cut     ///< to the border of the block and of the columns that are evaluated together
+  cut     ///< to the upper and the lower border of the block
 };
 
 /// Where a parallel view meets one camera's picture on one plane: at one offset from every output pixel.

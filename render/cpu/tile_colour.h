@@ -14,6 +14,6 @@ inline float brightness(const float* rgb) { return 0.25F * (rgb[0] + 2 * rgb[1] 
 double colour_beside_brightness(const Expectation& expected, const PixelRect& cells);
 
 /// From there on costs have to see colour.
-inline constexpr double kLeastColour = 6.0 / 255;
+inline constexpr double kLeastColour = 3.0 / 255;
 
 }  // namespace stuv
