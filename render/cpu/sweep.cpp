@@ -316,7 +316,8 @@ float SweepBlock::fix_weights(const std::vector<std::array<double, 4>>& weights,
   long before = 0;
   const auto next = [&](double w) {
     sum += w * scale;
-    const long now = std::lround(sum), whole = now - before;
+    // To the nearest, as lround, which is a call.
+    const long now = static_cast<long>(sum + std::copysign(0.5, sum)), whole = now - before;
     before = now;
     return static_cast<std::uint16_t>(whole);
   };
@@ -328,11 +329,35 @@ float SweepBlock::fix_weights(const std::vector<std::array<double, 4>>& weights,
   return static_cast<float>(sweep_.scale / scale);
 }
 
+/// Every camera sees all of `halo` on plane n, or nothing.
+bool SweepBlock::seen_alike(int n, const PixelRect& halo) const {
+  for (std::size_t i = 0; i < cameras_.size(); ++i) {
+    const CameraShift& s = shift(n, i);
+    if (!s.visible) continue;
+    const PixelRect seen = intersection(s.valid, halo);
+    if (!seen.empty() && seen != halo) return false;
+  }
+  return true;
+}
+
+void SweepBlock::evaluate_shift_job(const PixelRect& part) {
+  const int width = part.x1 - part.x0, height = part.y1 - part.y0;
+  shift_difference(shift_job_, part.x0, part.y0, width, height, E0_at(part.x0, part.y0), stride_);
+  multiply_adds_ += kernels::multiply_adds(shift_job_) * width * height;
+}
+
 /// True if equation 5 is defined and the plane a candidate everywhere; otherwise `defined_` and `candidate_`
 /// say where.
 bool SweepBlock::difference_by_shift(int n, const PixelRect& halo, const kernels::PairWeights& a) {
   if (shift_job_.a != a) job_of_all_ = false;
   shift_job_.a = a;
+  if (seen_alike(n, halo)) {
+    fill_shift_job(n, halo);
+    if (job_defined_ && job_candidate_) {
+      evaluate_shift_job(halo);
+      return true;
+    }
+  }
   // Cameras come and go along straight lines only.
   std::vector<int> xs{halo.x0, halo.x1}, ys{halo.y0, halo.y1};
   for (std::size_t i = 0; i < cameras_.size(); ++i) {
@@ -357,11 +382,7 @@ bool SweepBlock::difference_by_shift(int n, const PixelRect& halo, const kernels
       const PixelRect part{xs[i], ys[j], xs[i + 1], ys[j + 1]};
       fill_shift_job(n, part);
       if (!job_defined_ || !job_candidate_) gaps.push_back({part, job_defined_, job_candidate_});
-      if (job_defined_) {
-        shift_difference(shift_job_, part.x0, part.y0, part.x1 - part.x0, part.y1 - part.y0,
-                         E0_at(part.x0, part.y0), stride_);
-        multiply_adds_ += kernels::multiply_adds(shift_job_) * (part.x1 - part.x0) * (part.y1 - part.y0);
-      }
+      if (job_defined_) evaluate_shift_job(part);
     }
   if (gaps.empty()) return true;
   defined_.resize(padded_size_);
@@ -575,9 +596,8 @@ void SweepBlock::clear_outside(std::vector<float>& raster, const PixelRect& padd
 
 /// Where windows around `part` lie.
 PixelRect SweepBlock::halo_of(const PixelRect& part) const {
-  const int margin = sweep_.windows == Windows::cut ? 0 : sweep_.M_x;
-  return intersection({part.x0 - margin, part.y0 - sweep_.M_y, part.x1 + margin, part.y1 + sweep_.M_y},
-                      halo_);
+  return intersection(
+      {part.x0 - sweep_.M_x, part.y0 - sweep_.M_y, part.x1 + sweep_.M_x, part.y1 + sweep_.M_y}, halo_);
 }
 
 /// inverse_: 1 / the pixels of each window that lie in `halo`.
@@ -608,8 +628,6 @@ void SweepBlock::invert_counts(const PixelRect& halo, const PixelRect& part) {
 bool SweepBlock::difference(int n, const PixelRect& halo) {
   return by_shift_ ? difference_by_shift(n, halo, sweep_.pair_weights()) : difference_by_warp(n, halo);
 }
-
-void SweepBlock::evaluate(int n, int x0, int x1) { evaluate_part(n, {x0, rect_.y0, x1, rect_.y1}, nullptr); }
 
 void SweepBlock::evaluate_rows(int n, int y0, int y1) {
   carries_.resize(sweep_.disparities.size());
@@ -704,11 +722,29 @@ void SweepBlock::choose(int n, int x0, int x1) {
     std::fill_n(plane_.data() + static_cast<std::size_t>(y) * stride_ + (x0 - rect_.x0), x1 - x0, n);
 }
 
-bool SweepBlock::all_chosen(int x0, int x1) const {
-  for (int y = 0; y < rect_.y1 - rect_.y0; ++y)
-    for (int x = x0 - rect_.x0; x < x1 - rect_.x0; ++x)
-      if (plane(y)[x] < 0) return false;
-  return true;
+PixelRect SweepBlock::without_plane(int x0, int x1) const {
+  PixelRect out{x1, rect_.y1, x0, rect_.y0};
+  for (int y = rect_.y0; y < rect_.y1; ++y) {
+    const std::int32_t* planes = plane(y - rect_.y0);
+    for (int x = x0; x < x1; ++x) {
+      if (planes[x - rect_.x0] >= 0) continue;
+      out = {std::min(out.x0, x), std::min(out.y0, y), std::max(out.x1, x + 1), std::max(out.y1, y + 1)};
+    }
+  }
+  return out;
+}
+
+void SweepBlock::take(const SweepBlock& other, int x0, int x1) {
+  for (int y = 0; y < rect_.y1 - rect_.y0; ++y) {
+    const std::size_t at = static_cast<std::size_t>(y) * stride_ + static_cast<std::size_t>(x0 - rect_.x0);
+    const auto copy = [&](const auto& from, auto& to) {
+      std::copy_n(from.data() + at, x1 - x0, to.data() + at);
+    };
+    copy(other.plane_, plane_);
+    copy(other.E_min_, E_min_);
+    copy(other.E_sum_, E_sum_);
+    copy(other.E_count_, E_count_);
+  }
 }
 
 double SweepBlock::bytes() const {

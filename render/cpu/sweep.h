@@ -31,7 +31,7 @@ RenderOptions focal_plane_options(double d_px, Filter filter);
 /// How far windows reach.
 enum class Windows {
   whole,  ///< to the border of the picture
-  cut     ///< to the border of the block and of the columns that are evaluated together
+  cut     ///< to the upper and the lower border of the block
 };
 
 /// Where a parallel view meets one camera's picture on one plane: at one offset from every output pixel.
@@ -78,8 +78,9 @@ class SweepBlock {
   enum class Purpose { search, colour };
   SweepBlock(const Sweep& sweep, const PixelRect& rect, Purpose purpose = Purpose::search);
 
-  /// Plane n on columns [x0, x1) of the picture, which must lie in the block.
-  void evaluate(int n, int x0, int x1);
+  /// Plane n on a part of the picture that must lie in the block, or on columns [x0, x1) of it.
+  void evaluate(int n, const PixelRect& part) { evaluate_part(n, part, nullptr); }
+  void evaluate(int n, int x0, int x1) { evaluate(n, {x0, rect_.y0, x1, rect_.y1}); }
   void evaluate(int n) { evaluate(n, rect_.x0, rect_.x1); }
   /// Plane n on the block's rows [y0, y1). Each plane's rows in order: what its windows share with the rows
   /// before is kept, so that a block can be walked in bands whose pixels stay in the cache.
@@ -89,8 +90,10 @@ class SweepBlock {
   bool ruled_out(int n, int x0, int x1);
   /// Plane n is chosen on those columns without looking at any cost.
   void choose(int n, int x0, int x1);
-  /// Every pixel of the columns has a plane.
-  bool all_chosen(int x0, int x1) const;
+  /// The smallest part of the columns beyond which every pixel has a plane; empty if all have one.
+  PixelRect without_plane(int x0, int x1) const;
+  /// Takes planes and costs of those columns from another block of the same rectangle.
+  void take(const SweepBlock& other, int x0, int x1);
   /// Writes colour, disparity, plane and confidence of the block, the planes and costs being those of
   /// `searched`, a block of the same rectangle.
   void write(RenderedView& out, const SweepBlock& searched);
@@ -139,6 +142,8 @@ class SweepBlock {
     return sweep_.shifts[static_cast<std::size_t>(n) * sweep_.store.views().cameras.size() +
                          static_cast<std::size_t>(cameras_[i])];
   }
+  bool seen_alike(int n, const PixelRect& halo) const;
+  void evaluate_shift_job(const PixelRect& part);
   bool difference_by_shift(int n, const PixelRect& halo, const kernels::PairWeights& a);
   bool difference_by_warp(int n, const PixelRect& halo);
   void invert_counts(const PixelRect& halo, const PixelRect& part);

@@ -247,11 +247,11 @@ void shift_all(const ShiftJob& job, int x, int y, int width, int height, float* 
   const std::size_t count = job.taps.size();
   pixels.resize(count * static_cast<std::size_t>(job.channels));
   const std::size_t stride = static_cast<std::size_t>(job.taps.empty() ? 0 : job.taps.front().view->width);
-  for (std::size_t i = 0; i < pixels.size(); ++i) {
-    const ShiftTap& tap = job.taps[i % count];
-    pixels[i] = tap.view->plane<T>(static_cast<int>(i / count)) + tap.offset +
-                static_cast<std::ptrdiff_t>(y * stride) + x;
-  }
+  const std::ptrdiff_t first = static_cast<std::ptrdiff_t>(y) * static_cast<std::ptrdiff_t>(stride) + x;
+  for (int c = 0; c < job.channels; ++c)
+    for (std::size_t t = 0; t < count; ++t)
+      pixels[static_cast<std::size_t>(c) * count + t] =
+          job.taps[t].view->plane<T>(c) + job.taps[t].offset + first;
   int row = 0;
   const auto take = [&]<int R>(std::integral_constant<int, R>) {
     for (; row + R <= height; row += R) {

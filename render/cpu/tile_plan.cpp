@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "core/parallel.h"
+#include "render/cpu/tile_colour.h"
 #include "render/pixel_store.h"
 
 namespace stuv {
@@ -153,6 +154,7 @@ TilePlan plan_tiles(const Viewpoint& view, const RenderOptions& options, const E
   const auto planes = static_cast<std::size_t>(out.planes);
   out.wanted.assign(tiles * planes, 0);
   out.chosen.assign(tiles, -1);
+  out.coloured.assign(tiles, 1);
   const std::vector<std::uint8_t> good = good_planes(expected);
   parallel_for(out.rows, [&](int row) {
     Cover cover;
@@ -165,6 +167,8 @@ TilePlan plan_tiles(const Viewpoint& view, const RenderOptions& options, const E
         std::fill(wanted + first, wanted + last + 1, std::uint8_t{1});
       };
       const PixelRect cells = cells_of(expected, options, row, col);
+      if (!expected.colour.empty())
+        out.coloured[tile] = colour_beside_brightness(expected, cells) > kLeastColour ? 1 : 0;
       if (options.skips.flat_tiles) out.chosen[tile] = flat_plane(expected, cells, row, col);
       if (expected.costs.empty()) {
         for (int y = cells.y0; y < cells.y1; ++y)
