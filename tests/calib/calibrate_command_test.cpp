@@ -28,7 +28,8 @@ void check_models_open_in_mrcal(const fs::path& folder) {
 std::vector<std::vector<Eigen::Vector2d>> rectified_corners(const LightField& lf, const Board& board) {
   std::vector<std::vector<Eigen::Vector2d>> corners(lf.views.size());
   parallel_for(static_cast<int>(lf.views.size()), [&](int i) {
-    corners[i] = detect_board(read_image(lf.folder / lf.views[i].file), board).corners_px;
+    const BoardView seen = detect_board(read_image(lf.folder / lf.views[i].file), board);
+    if (seen.seen() == board.corners()) corners[i] = seen.corners_px;
     // 28 columns, 17 rows: the colours tell the order. The first corner is the left one.
     if (!corners[i].empty() && corners[i].front().x() > corners[i].back().x())
       std::reverse(corners[i].begin(), corners[i].end());
