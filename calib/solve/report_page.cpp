@@ -288,7 +288,7 @@ void add_cameras(Page& page, const Calibration& c) {
         " Below: uncertainty of the picture of a point {:.2f} m away, one sigma in the worst direction: ",
         c.map_distances_m[1]);
     for (const double px : {0.03, 0.1, 0.3, 1.0, 3.0})
-      page.add("<span class='key' style='background:{}'>{} px</span>", heat(px), px);
+      page.add("<span class='key' style='white-space:nowrap;background:{}'>{} px</span>", heat(px), px);
   }
   page.add(
       " Caption: rms, part of the picture that corners span, uncertainty in its middle and at its "
