@@ -229,7 +229,7 @@ Camera splined_from_fisheye(const FisheyeLens& lens, int width, int height, doub
   Eigen::Vector2d most = Eigen::Vector2d::Zero();
   for (const Eigen::Vector3d& ray : s.rays)
     most = most.cwiseMax((2 / (1 + ray.z()) * ray.head<2>()).cwiseAbs());
-  constexpr int kColumns = 20;
+  constexpr int kColumns = 24;
   const double fov_x_deg = std::ceil(1.15 * 4 * std::atan(most.x() / 2) * 180 / M_PI);
   const int rows = std::max(6, static_cast<int>(std::ceil(kColumns * most.y() / most.x())) + 2);
   Camera camera;

@@ -27,6 +27,7 @@ double length_unit(const MrcalProblem::Input& in) {
 MrcalProblem::MrcalProblem(const Input& input) : in_(input), unit_m_(length_unit(input)) {
   mrcal_lensmodel_from_name(&lens_, in_.cameras.front().lens_model.c_str());
   params_ = mrcal_lensmodel_num_params(&lens_);
+  if (lens_.type == MRCAL_LENSMODEL_SPLINED_STEREOGRAPHIC) corner_scale_ = 10;
   in_.camera_weight.resize(in_.cameras.size(), 1);
   add_lenses();
   for (std::size_t c = 1; c < in_.cameras.size(); ++c)
@@ -64,7 +65,7 @@ void MrcalProblem::add_observations(const std::vector<BoardObservation>& boards)
       const Eigen::Vector2d& q = b.corners_px[i];
       const double weight = (b.weights.empty() ? 1 : b.weights[i]) * in_.camera_weight[b.camera];
       const bool there = q.allFinite() && weight > 0;
-      pool_.push_back(there ? point(q.x(), q.y(), weight) : point(0, 0, -1));
+      pool_.push_back(there ? point(q.x(), q.y(), corner_scale_ * weight) : point(0, 0, -1));
     }
   }
 }
@@ -113,12 +114,15 @@ bool MrcalProblem::linearise(mrcal_problem_selections_t what, Linearisation& l) 
   l.Jt.sorted = 1;
   l.Jt.packed = 1;
   std::vector<double> state(l.states);
-  return mrcal_optimizer_callback(
+  const bool known = mrcal_optimizer_callback(
       state.data(), l.states * static_cast<int>(sizeof(double)), l.x.data(),
       l.measurements * static_cast<int>(sizeof(double)), &l.Jt, intrinsics_.data(), extrinsics_.data(),
       frames_.data(), nullptr, &warp_, n_lenses(), n_cameras() - 1, n_frames(), 0, 0, observations_.data(),
       nullptr, n_boards(), 0, pool_.data(), &lens_, sizes_.data(), what, &constants_,
       in_.board.square_m / unit_m_, in_.board.columns, in_.board.rows, false);
+  for (double& x : l.x) x /= corner_scale_;
+  for (double& v : l.value) v /= corner_scale_;
+  return known;
 }
 
 Eigen::VectorXd MrcalProblem::state_scale(mrcal_problem_selections_t what) const {

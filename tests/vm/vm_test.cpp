@@ -411,8 +411,7 @@ TEST_CASE("vivid: a disk slower than the cameras costs sets, not memory, and the
   const Json report = source->report();
   CHECK(report["sets"]["dropped_queue_full"].get<int>() > 80);
   for (const Json& camera : report["cameras"]) {
-    // The driver always has buffers; a busy machine makes it late for single frames. Without, it would be 200.
-    CHECK(camera["dropped"].get<int>() <= 4);
+    CHECK(camera["dropped"] == 0);  // the driver always has buffers
     CHECK(camera["recorded"].get<int>() > sets * 3 / 4);
   }
 }
