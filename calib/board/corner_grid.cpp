@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <vector>
 
 namespace stuv {
@@ -79,8 +80,9 @@ double square_contrast(const CornerImage& image, const Eigen::Vector2d& at, cons
                        const Eigen::Vector2d& step_j, bool dark_first) {
   const Squares s = squares_around(image, at, step_i, step_j);
   const double *dark = dark_first ? s.same : s.other, *bright = dark_first ? s.other : s.same;
-  return -std::max(dark[0], dark[1]) + std::min(bright[0], bright[1]) +
-         0 * (dark[0] + dark[1] + bright[0] + bright[1]);
+  if (!std::isfinite(dark[0] + dark[1] + bright[0] + bright[1]))
+    return std::numeric_limits<double>::quiet_NaN();
+  return std::min(bright[0], bright[1]) - std::max(dark[0], dark[1]);
 }
 
 std::optional<Eigen::Vector2d> predicted(const CornerGrid& grid, int i, int j) {

@@ -10,7 +10,7 @@ namespace stuv {
 
 /// Counts up when detect_board may answer otherwise for the same picture: corners that were kept by an older
 /// version are looked for again.
-inline constexpr int kDetectorVersion = 4;
+inline constexpr int kDetectorVersion = 5;
 
 /// A board in one picture.
 struct BoardView {

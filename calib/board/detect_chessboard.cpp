@@ -23,16 +23,21 @@ CornerGrid grid_of(const std::vector<cv::Point2f>& corners, int columns) {
   return grid;
 }
 
-/// The largest grid of corners of at least part of the board; empty if there is none.
+/// The largest grid of corners of at least part of the board; empty if there is none. More than half of the
+/// board is looked for first: what starts from fewer corners may take every second column for the grid.
 CornerGrid find_grid(const CornerImage& image, const Board& board) {
-  const cv::Size least(std::min(5, board.columns), std::min(4, board.rows));
-  std::vector<cv::Point2f> corners;
-  cv::Mat meta;  // one entry a corner: its shape is the grid's
-  const bool found = cv::findChessboardCornersSB(
-      image.grey, least, corners, cv::CALIB_CB_EXHAUSTIVE | cv::CALIB_CB_ACCURACY | cv::CALIB_CB_LARGER,
-      meta);
-  if (!found || meta.empty() || corners.size() != meta.total()) return {};
-  return grid_of(corners, meta.cols);
+  const cv::Size small(std::min(5, board.columns), std::min(4, board.rows));
+  const cv::Size large(std::max(small.width, board.columns / 2 + 1),
+                       std::max(small.height, board.rows / 2 + 1));
+  for (const cv::Size& least : {large, small}) {
+    std::vector<cv::Point2f> corners;
+    cv::Mat meta;  // one entry a corner: its shape is the grid's
+    const bool found = cv::findChessboardCornersSB(
+        image.grey, least, corners, cv::CALIB_CB_EXHAUSTIVE | cv::CALIB_CB_ACCURACY | cv::CALIB_CB_LARGER,
+        meta);
+    if (found && !meta.empty() && corners.size() == meta.total()) return grid_of(corners, meta.cols);
+  }
+  return {};
 }
 
 /// The whole board row by row, or nothing. The exhaustive search is several times slower, and misses boards

@@ -40,12 +40,7 @@ void run_truth(int rigs) {
           tally(static_cast<unsigned>(i + 1000), kind.noise_px, kind.rows, kind.cols, kind.boards);
     });
     Tallies all;
-    for (const Tallies& t : each) {
-      all.centres.add(t.centres);
-      all.rotations.add(t.rotations);
-      all.focals.add(t.focals);
-      all.lattice.add(t.lattice);
-    }
+    for (const Tallies& t : each) all.add(t);
     fmt::print("{}, {} rigs\n", kind.name, rigs);
     print("centres", all.centres);
     print("rotations", all.rotations);

@@ -76,8 +76,8 @@ inline Scene make_scene(int rows, int cols, int sets, const std::vector<std::str
   return scene;
 }
 
-/// Estimated minus true centres after rigid alignment, in the frame of the estimate.
-inline std::vector<Eigen::Vector3d> aligned_errors(const Rig& rig, const std::vector<Camera>& truth) {
+/// The truth in the frame of the estimate, by rigid alignment of the centres.
+inline Pose rig_from_truth(const Rig& rig, const std::vector<Camera>& truth) {
   const auto n = static_cast<Eigen::Index>(truth.size());
   Eigen::Matrix3Xd a(3, n), b(3, n);
   for (Eigen::Index i = 0; i < n; ++i) {
@@ -85,9 +85,16 @@ inline std::vector<Eigen::Vector3d> aligned_errors(const Rig& rig, const std::ve
     b.col(i) = rig.cameras[i].camera.cam_from_rig.centre();
   }
   const Eigen::Matrix4d T = Eigen::umeyama(a, b, false);
+  return {T.topLeftCorner<3, 3>(), T.topRightCorner<3, 1>()};
+}
+
+/// Estimated minus true centres after rigid alignment, in the frame of the estimate.
+inline std::vector<Eigen::Vector3d> aligned_errors(const Rig& rig, const std::vector<Camera>& truth) {
+  const Pose from_truth = rig_from_truth(rig, truth);
   std::vector<Eigen::Vector3d> errors;
-  for (Eigen::Index i = 0; i < n; ++i)
-    errors.push_back(b.col(i) - T.topLeftCorner<3, 3>() * a.col(i) - T.topRightCorner<3, 1>());
+  for (std::size_t i = 0; i < truth.size(); ++i)
+    errors.push_back(rig.cameras[i].camera.cam_from_rig.centre() -
+                     from_truth * truth[i].cam_from_rig.centre());
   return errors;
 }
 

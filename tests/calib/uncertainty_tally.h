@@ -27,19 +27,11 @@ struct Tally {
 
 struct Tallies {
   Tally centres, rotations, focals, lattice;
-};
-
-/// The truth in the frame of the estimate, by rigid alignment of the centres.
-inline Pose rig_from_truth(const Rig& rig, const std::vector<Camera>& truth) {
-  const auto n = static_cast<Eigen::Index>(truth.size());
-  Eigen::Matrix3Xd a(3, n), b(3, n);
-  for (Eigen::Index i = 0; i < n; ++i) {
-    a.col(i) = truth[i].cam_from_rig.centre();
-    b.col(i) = rig.cameras[i].camera.cam_from_rig.centre();
+  void add(const Tallies& other) {
+    centres.add(other.centres), rotations.add(other.rotations);
+    focals.add(other.focals), lattice.add(other.lattice);
   }
-  const Eigen::Matrix4d T = Eigen::umeyama(a, b, false);
-  return {T.topLeftCorner<3, 3>(), T.topRightCorner<3, 1>()};
-}
+};
 
 /// One noisy rig against its truth. The bound: the covariance at the true corners, without the pull of
 /// regularisation, at the true noise.

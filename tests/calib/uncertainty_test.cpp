@@ -13,12 +13,7 @@ TEST_CASE("stated sigmas are those of the errors, and the errors at the Cramer-R
   std::vector<Tallies> each(kRigs);
   parallel_for(kRigs, [&](int i) { each[i] = tally(static_cast<unsigned>(i + 1), 0.3); });
   Tallies all;
-  for (const Tallies& t : each) {
-    all.centres.add(t.centres);
-    all.rotations.add(t.rotations);
-    all.focals.add(t.focals);
-    all.lattice.add(t.lattice);
-  }
+  for (const Tallies& t : each) all.add(t);
   const auto check = [](const char* what, const Tally& t) {
     std::printf("%s: error over sigma %.3f, over bound %.3f (%d)\n", what, t.z(), t.over_bound(), t.count);
     CHECK(t.z() > 0.9);
