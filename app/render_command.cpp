@@ -217,11 +217,14 @@ Json statistics_of(const Viewpoint& at, const Outputs& files, const RenderedView
   for (const float c : view.confidence.data) confidence += c;
   for (const int n : view.plane.data) seen += n >= 0 ? 1 : 0;
   const double pixels = static_cast<double>(view.plane.data.size());
+  Json stages = Json::object();
+  for (const auto& [stage, ms] : view.statistics.stages_ms) stages[stage] = ms;
   return {{"file", files.colour.string()},
           {"at", {at.s, at.t, at.z}},
           {"width", at.width},
           {"height", at.height},
           {"milliseconds", view.statistics.milliseconds},
+          {"stages_ms", stages},
           {"evaluated_fraction", view.statistics.evaluated_fraction},
           {"skipped", skipped},
           {"seen_fraction", static_cast<double>(seen) / pixels},

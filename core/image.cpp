@@ -12,14 +12,14 @@ namespace stuv {
 namespace {
 
 template <class T>
-void integers_to_float(const std::byte* bytes, std::vector<float>& out) {
+void integers_to_float(const std::byte* bytes, decltype(ImageF::data)& out) {
   constexpr float scale = 1.0F / static_cast<float>(std::numeric_limits<T>::max());
   const T* values = reinterpret_cast<const T*>(bytes);
   for (std::size_t i = 0; i < out.size(); ++i) out[i] = static_cast<float>(values[i]) * scale;
 }
 
 template <class T>
-void float_to_integers(const std::vector<float>& in, std::byte* bytes) {
+void float_to_integers(const decltype(ImageF::data)& in, std::byte* bytes) {
   constexpr float top = static_cast<float>(std::numeric_limits<T>::max());
   T* values = reinterpret_cast<T*>(bytes);
   for (std::size_t i = 0; i < in.size(); ++i) {

@@ -133,6 +133,59 @@ kernels::PairWeights Sweep::pair_weights() const {
   return {static_cast<float>(options.a01), static_cast<float>(options.a02), static_cast<float>(options.a12)};
 }
 
+std::vector<CameraPart> cameras_in(const Sweep& sweep, const PixelRect& rect, const Filter* only) {
+  const ViewSet& views = sweep.store.views();
+  std::vector<CameraPart> parts(views.cameras.size());
+  for (std::size_t c = 0; c < parts.size(); ++c) parts[c].camera = static_cast<int>(c);
+  if (sweep.positions.constant) {
+    for (std::size_t k = 0; k < 3; ++k)
+      for (const CameraWeight& c : sweep.constant[k])
+        parts[static_cast<std::size_t>(c.camera)].weight[k] = c.weight;
+  } else {
+    // Whoever may have a part anywhere: the box around the rays' places on the lattice.
+    Eigen::Vector2d low(INFINITY, INFINITY), high(-INFINITY, -INFINITY);
+    for (int y = rect.y0; y < rect.y1; ++y)
+      for (int x = rect.x0; x < rect.x1; ++x) {
+        const Eigen::Vector2d& p = sweep.positions.at(sweep.view, x, y);
+        if (!p.allFinite()) continue;
+        low = low.cwiseMin(p);
+        high = high.cwiseMax(p);
+      }
+    const Eigen::Vector2d last(views.lf.cols - 1, views.lf.rows - 1);
+    low = low.cwiseMax(Eigen::Vector2d::Zero()).cwiseMin(last);
+    high = high.cwiseMax(Eigen::Vector2d::Zero()).cwiseMin(last);
+    for (int k = 0; k < 3; ++k) {
+      const LatticeFilter& filter = sweep.lattice.filters[static_cast<std::size_t>(k)];
+      const double reach = filter.half_width();
+      for (int row = 0; row < filter.thinned_rows(); ++row)
+        for (int col = 0; col < filter.thinned_cols(); ++col) {
+          if (col <= low.x() / filter.stride() - reach || col >= high.x() / filter.stride() + reach) continue;
+          if (row <= low.y() / filter.stride() - reach || row >= high.y() / filter.stride() + reach) continue;
+          for (const CameraWeight& c :
+               sweep.lattice.stands(k)[static_cast<std::size_t>(row * filter.thinned_cols() + col)])
+            parts[static_cast<std::size_t>(c.camera)].weight[static_cast<std::size_t>(k)] = 1;
+        }
+    }
+  }
+  if (only != nullptr)
+    for (CameraPart& part : parts)
+      for (std::size_t k = 0; k < 3; ++k)
+        if (k != static_cast<std::size_t>(*only)) part.weight[k] = 0;
+  const auto idle = [](const CameraPart& part) {
+    return std::all_of(part.weight.begin(), part.weight.end(), [](double w) { return w <= 0; });
+  };
+  if (sweep.options.skips.idle_cameras)
+    parts.erase(std::remove_if(parts.begin(), parts.end(), idle), parts.end());
+  return parts;
+}
+
+bool meet_at_one_offset(const Sweep& sweep, const std::vector<int>& cameras) {
+  const ViewSet& set = sweep.store.views();
+  return !sweep.shifts.empty() && std::all_of(cameras.begin(), cameras.end(), [&](int c) {
+    return set.cameras[static_cast<std::size_t>(c)].w == sweep.view.z;
+  });
+}
+
 SweepBlock::SweepBlock(const Sweep& sweep, const PixelRect& rect, Purpose purpose)
     : sweep_(sweep), purpose_(purpose), rect_(rect) {
   const int M_x = sweep.M_x, M_y = sweep.M_y;
@@ -153,57 +206,16 @@ SweepBlock::SweepBlock(const Sweep& sweep, const PixelRect& rect, Purpose purpos
   E_sum_.assign(size, 0.0F);
   E_count_.assign(size, 0.0F);
   plane_.assign(size, -1);
-  find_cameras();
+  const Filter* only = purpose == Purpose::colour ? &sweep.options.k : nullptr;
+  for (const CameraPart& part : cameras_in(sweep, halo_, only)) {
+    cameras_.push_back(part.camera);
+    constant_.push_back(part.weight);
+  }
   acquire_views();
-  by_shift_ = meets_at_one_offset();
+  by_shift_ = !any_masked_ && meet_at_one_offset(sweep, cameras_);
   shift_job_.type = views_.empty() ? PixelType::u8 : views_.front()->type;
   shift_job_.channels = sweep.store.views().lf.channels;
   shift_job_.a = sweep.pair_weights();
-}
-
-void SweepBlock::find_cameras() {
-  const std::size_t count = sweep_.store.views().cameras.size();
-  std::vector<std::array<double, 3>> weight(count, {0, 0, 0});
-  if (sweep_.positions.constant) {
-    for (std::size_t k = 0; k < 3; ++k)
-      for (const CameraWeight& c : sweep_.constant[k])
-        weight[static_cast<std::size_t>(c.camera)][k] = c.weight;
-  } else {
-    // Whoever may have a part anywhere: the box around the rays' places on the lattice.
-    const ViewSet& views = sweep_.store.views();
-    Eigen::Vector2d low(INFINITY, INFINITY), high(-INFINITY, -INFINITY);
-    for (int y = halo_.y0; y < halo_.y1; ++y)
-      for (int x = halo_.x0; x < halo_.x1; ++x) {
-        const Eigen::Vector2d& p = sweep_.positions.at(sweep_.view, x, y);
-        if (!p.allFinite()) continue;
-        low = low.cwiseMin(p);
-        high = high.cwiseMax(p);
-      }
-    const Eigen::Vector2d last(views.lf.cols - 1, views.lf.rows - 1);
-    low = low.cwiseMax(Eigen::Vector2d::Zero()).cwiseMin(last);
-    high = high.cwiseMax(Eigen::Vector2d::Zero()).cwiseMin(last);
-    for (int k = 0; k < 3; ++k) {
-      const LatticeFilter& filter = sweep_.lattice.filters[static_cast<std::size_t>(k)];
-      const double reach = filter.half_width();
-      for (int row = 0; row < filter.thinned_rows(); ++row)
-        for (int col = 0; col < filter.thinned_cols(); ++col) {
-          if (col <= low.x() / filter.stride() - reach || col >= high.x() / filter.stride() + reach) continue;
-          if (row <= low.y() / filter.stride() - reach || row >= high.y() / filter.stride() + reach) continue;
-          for (const CameraWeight& c :
-               sweep_.lattice.stands(k)[static_cast<std::size_t>(row * filter.thinned_cols() + col)])
-            weight[static_cast<std::size_t>(c.camera)][static_cast<std::size_t>(k)] = 1;
-        }
-    }
-  }
-  for (std::size_t c = 0; c < count; ++c) {
-    if (purpose_ == Purpose::colour)
-      for (std::size_t k = 0; k < 3; ++k)
-        if (k != static_cast<std::size_t>(sweep_.options.k)) weight[c][k] = 0;
-    const bool idle = weight[c][0] <= 0 && weight[c][1] <= 0 && weight[c][2] <= 0;
-    if (idle && sweep_.options.skips.idle_cameras) continue;
-    cameras_.push_back(static_cast<int>(c));
-    constant_.push_back(weight[c]);
-  }
 }
 
 void SweepBlock::acquire_views() {
@@ -217,15 +229,6 @@ void SweepBlock::acquire_views() {
     if (masked_.back()) spans_.back().rows = present_spans(*views_.back(), needed);
     any_masked_ = any_masked_ || masked_.back() != 0;
   }
-}
-
-/// On every plane every output pixel meets each camera's picture at one offset from itself: parallel views on
-/// the cameras' plane.
-bool SweepBlock::meets_at_one_offset() const {
-  const ViewSet& set = sweep_.store.views();
-  if (sweep_.shifts.empty() || any_masked_) return false;
-  return std::all_of(cameras_.begin(), cameras_.end(),
-                     [&](int c) { return set.cameras[static_cast<std::size_t>(c)].w == sweep_.view.z; });
 }
 
 /// The job of a part in which the same cameras see all pixels.

@@ -69,6 +69,20 @@ struct Sweep {
   void find_shifts();
 };
 
+/// A camera that has a part in a rectangle, and its weights by filter where these are the same for all
+/// pixels.
+struct CameraPart {
+  int camera = 0;
+  std::array<double, 3> weight{};
+};
+
+/// Whoever may have a part in the views of `rect` through filter k, or through any if k is null.
+std::vector<CameraPart> cameras_in(const Sweep& sweep, const PixelRect& rect, const Filter* k = nullptr);
+
+/// True if on every plane every output pixel meets the picture of each of those cameras at one offset from
+/// itself: parallel views on the cameras' plane.
+bool meet_at_one_offset(const Sweep& sweep, const std::vector<int>& cameras);
+
 /// Planes evaluated on one rectangle of the output picture: equations 5 to 8 for it. All memory is the
 /// block's own, so blocks run in parallel and their results do not depend on how the picture is divided.
 class SweepBlock {
@@ -132,12 +146,10 @@ class SweepBlock {
   };
   void evaluate_part(int n, const PixelRect& part, Carry* carry);
   bool difference(int n, const PixelRect& halo);
-  void find_cameras();
   void acquire_views();
   void make_weights();
   void make_rays();
   void make_maps();
-  bool meets_at_one_offset() const;
   const CameraShift& shift(int n, std::size_t i) const {
     return sweep_.shifts[static_cast<std::size_t>(n) * sweep_.store.views().cameras.size() +
                          static_cast<std::size_t>(cameras_[i])];

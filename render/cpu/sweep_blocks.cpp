@@ -4,6 +4,8 @@
 #include <limits>
 #include <thread>
 
+#include "core/parallel.h"
+
 namespace stuv {
 
 std::vector<PixelRect> blocks_of(const Viewpoint& view, int width, int height) {
@@ -28,12 +30,26 @@ std::vector<PixelRect> exact_blocks(const Sweep& sweep) {
   return blocks_of(sweep.view, std::max(256, 4 * window), height);
 }
 
-RenderedView empty_picture(const Viewpoint& view, int channels) {
+RenderedView unset_picture(const Viewpoint& view, int channels) {
   RenderedView out;
-  out.colour = ImageF(view.width, view.height, channels);
-  out.disparity = ImageF(view.width, view.height, 1, std::numeric_limits<float>::quiet_NaN());
-  out.plane = Raster<int>(view.width, view.height, 1, -1);
-  out.confidence = ImageF(view.width, view.height, 1);
+  out.colour = ImageF::unset(view.width, view.height, channels);
+  out.disparity = ImageF::unset(view.width, view.height, 1);
+  out.plane = Raster<int>::unset(view.width, view.height, 1);
+  out.confidence = ImageF::unset(view.width, view.height, 1);
+  return out;
+}
+
+RenderedView empty_picture(const Viewpoint& view, int channels) {
+  RenderedView out = unset_picture(view, channels);
+  parallel_for(view.height, [&](int y) {
+    const auto fill = [&](auto& raster, auto value) {
+      std::fill_n(raster.row(y), static_cast<std::size_t>(raster.width) * raster.channels, value);
+    };
+    fill(out.colour, 0.0F);
+    fill(out.disparity, std::numeric_limits<float>::quiet_NaN());
+    fill(out.plane, -1);
+    fill(out.confidence, 0.0F);
+  });
   return out;
 }
 

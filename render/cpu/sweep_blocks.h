@@ -12,6 +12,9 @@ std::vector<PixelRect> blocks_of(const Viewpoint& view, int width, int height);
 /// Large enough that the halo of the window is a small part, small enough for every thread to get some.
 std::vector<PixelRect> exact_blocks(const Sweep& sweep);
 
+/// The size alone.
+RenderedView unset_picture(const Viewpoint& view, int channels);
+
 /// Black, no plane, confidence 0.
 RenderedView empty_picture(const Viewpoint& view, int channels);
 

@@ -1,7 +1,6 @@
-#version 450 core
 // What the shaders of the sweep share; see FocalPlaneRenderer (render/focal_plane.h) for the equations. Row 0 is the top
-// row everywhere: buffers and texelFetch have no bottom-left origin.
-layout(local_size_x = 8, local_size_y = 8) in;
+// row everywhere. Before this stand the version, and TEXEL_ and BLOCKS of the pictures (GlPictures).
+layout(local_size_x = 32, local_size_y = 4) in;  // a row of 32 reads neighbouring texels
 
 // u = whole_u + fraction_u + slope * coordinate, split so that float keeps its digits for the fraction.
 struct Camera {
@@ -9,29 +8,43 @@ struct Camera {
   vec2 fraction;
   float slope;
   int visible;
-  int layer;
-  int pad;
+  int block;        // of the pictures
+  int first_texel;  // in that block
 };
 struct Stand { int camera; float weight; };
 struct Member { int camera; float weight[3]; };
 
-layout(binding = 0) uniform sampler2DArray pictures;                      // alpha 0: missing
+#if defined(TEXEL_U8)
+#define Texel uint
+#elif defined(TEXEL_U16)
+#define Texel uvec2
+#else
+#define Texel vec4
+#endif
+
 layout(std430, binding = 0) readonly buffer Cameras { Camera cameras[]; };  // [plane][camera]
 layout(std430, binding = 1) readonly buffer Positions { vec2 positions[]; };
 // Filters normal and wide share their nodes: the first lattice; the second is the thinned one.
 layout(std430, binding = 2) readonly buffer Starts { int starts[]; };
 layout(std430, binding = 3) readonly buffer Stands { Stand stands[]; };
-layout(std430, binding = 4) buffer Costs { vec4 costs[]; };    // E_0, defined, candidate
-layout(std430, binding = 5) buffer Rows { vec2 rows[]; };      // sums of E_0 and defined along the row
-layout(std430, binding = 6) buffer Best { vec4 best[]; };      // E_min, sum of E, count of E, plane
-layout(std430, binding = 7) writeonly buffer Output { vec4 result[]; };  // two a pixel
-
+// Of a batch of planes, [plane][pixel]: E_0; 1 if it is defined, and 2 more if the plane is a candidate.
+layout(std430, binding = 4) buffer Costs { vec2 costs[]; };
+layout(std430, binding = 5) buffer Rows { vec2 rows[]; };  // sums of E_0 and of defined along the row, [plane][pixel]
+layout(std430, binding = 6) buffer Best { vec4 best[]; };  // E_min, sum of E, count of E, plane
+// The bits of red, green and blue; 17 bits of the plane, 15 of confidence.
+layout(std430, binding = 7) writeonly buffer Output { uvec4 result[]; };
 // Cameras with their weights by filter, where these are the same for all pixels.
 layout(std430, binding = 8) readonly buffer Members { Member members[]; };
+layout(std430, binding = 9) readonly buffer Pictures0 { Texel pictures0[]; };
+layout(std430, binding = 10) readonly buffer Pictures1 { Texel pictures1[]; };
+layout(std430, binding = 11) readonly buffer Pictures2 { Texel pictures2[]; };
+layout(std430, binding = 12) readonly buffer Pictures3 { Texel pictures3[]; };
 
 uniform ivec2 size;            // of the output
+uniform ivec2 picture_size;    // of the cameras
 uniform int member_count;
 uniform bool constant_position;
+uniform bool shifted;          // every camera is met at one whole + fraction, already split, for all pixels
 uniform bool parallel_view;    // coordinate = pixel, u counted from the pixel; else coordinate = slope of the ray
 uniform mat3 ray_from_pixel;
 uniform ivec2 full_lattice;    // cols, rows
@@ -44,6 +57,24 @@ uniform vec3 pair_weights;     // a_01, a_02, a_12
 uniform int k;                 // filter of the picture
 uniform vec3 channel_sum;      // 1 for each channel there is, else 0
 
+#if defined(TEXEL_U8)
+// Scaled by kUnit once blended. Integers below 2^23 lie in the last bits of 2^23 + integer: two quick operations, where a conversion is a slow one.
+vec3 rgb_of(uint p) {
+  uvec3 bytes = uvec3(p, p >> 8, p >> 16) & 0xffu;
+  return uintBitsToFloat(bytes | 0x4b000000u) - 8388608.0;
+}
+const float kUnit = 1.0 / 255.0;
+bool all_there(uint a, uint b) { return (a & b) >= 0xff000000u; }
+#elif defined(TEXEL_U16)
+vec3 rgb_of(uvec2 p) { return vec3(p.x & 0xffffu, p.x >> 16, p.y & 0xffffu) / 65535.0; }
+const float kUnit = 1.0;
+bool all_there(uvec2 a, uvec2 b) { return (a.y & b.y) >= 0xffff0000u; }
+#else
+vec3 rgb_of(vec4 p) { return p.rgb; }
+const float kUnit = 1.0;
+bool all_there(vec4 a, vec4 b) { return min(a.a, b.a) >= 0.5; }
+#endif
+
 bool split(float at, int whole, int limit, out int i, out float a) {
   float nearest = round(at);
   if (abs(at - nearest) < snap_px) at = nearest;
@@ -54,21 +85,40 @@ bool split(float at, int whole, int limit, out int i, out float a) {
   return i >= 0 && i + (a > 0.0 ? 1 : 0) < limit;
 }
 
+// Two neighbouring texels of one picture.
+#if BLOCKS == 1
+#define PAIR(block, at, dx, p0, p1) p0 = pictures0[at], p1 = pictures0[(at) + (dx)]
+#else
+#define PAIR(block, at, dx, p0, p1)                                         \
+  if (block == 0) {                                                         \
+    p0 = pictures0[at], p1 = pictures0[(at) + (dx)];                        \
+  } else if (block == 1) {                                                  \
+    p0 = pictures1[at], p1 = pictures1[(at) + (dx)];                        \
+  } else if (block == 2) {                                                  \
+    p0 = pictures2[at], p1 = pictures2[(at) + (dx)];                        \
+  } else {                                                                  \
+    p0 = pictures3[at], p1 = pictures3[(at) + (dx)];                        \
+  }
+#endif
+
 bool fetch(Camera camera, ivec2 pixel, vec2 coordinate, out vec3 colour) {
   if (camera.visible == 0) return false;
-  ivec2 limit = textureSize(pictures, 0).xy;
-  ivec2 i;
-  vec2 a;
-  vec2 at = camera.fraction + camera.slope * coordinate;
-  ivec2 whole = camera.whole + (parallel_view ? pixel : ivec2(0));
-  if (!split(at.x, whole.x, limit.x, i.x, a.x) || !split(at.y, whole.y, limit.y, i.y, a.y)) return false;
-  int dx = a.x > 0.0 ? 1 : 0, dy = a.y > 0.0 ? 1 : 0;
-  vec4 p00 = texelFetch(pictures, ivec3(i, camera.layer), 0);
-  vec4 p01 = texelFetch(pictures, ivec3(i + ivec2(dx, 0), camera.layer), 0);
-  vec4 p10 = texelFetch(pictures, ivec3(i + ivec2(0, dy), camera.layer), 0);
-  vec4 p11 = texelFetch(pictures, ivec3(i + ivec2(dx, dy), camera.layer), 0);
-  if (min(min(p00.a, p01.a), min(p10.a, p11.a)) < 0.5) return false;
-  colour = mix(mix(p00.rgb, p01.rgb, a.x), mix(p10.rgb, p11.rgb, a.x), a.y);
+  ivec2 i = camera.whole + (parallel_view ? pixel : ivec2(0));
+  vec2 a = camera.fraction;
+  if (shifted) {
+    if (any(lessThan(i, ivec2(0))) || any(greaterThanEqual(i + ivec2(greaterThan(a, vec2(0.0))), picture_size)))
+      return false;
+  } else {
+    a += camera.slope * coordinate;
+    if (!split(a.x, i.x, picture_size.x, i.x, a.x) || !split(a.y, i.y, picture_size.y, i.y, a.y)) return false;
+  }
+  int dx = a.x > 0.0 ? 1 : 0, dy = a.y > 0.0 ? picture_size.x : 0;
+  int at = camera.first_texel + i.y * picture_size.x + i.x;
+  Texel p00, p01, p10, p11;
+  PAIR(camera.block, at, dx, p00, p01);
+  PAIR(camera.block, at + dy, dx, p10, p11);
+  if (!all_there(p00, p01) || !all_there(p10, p11)) return false;
+  colour = mix(mix(rgb_of(p00), rgb_of(p01), a.x), mix(rgb_of(p10), rgb_of(p11), a.x), a.y) * kUnit;
   return true;
 }
 
@@ -163,3 +213,16 @@ Sums views_of(int n, ivec2 pixel, vec2 coordinate, bvec3 wanted) {
 float coverage_of(Sums sums, int f) { return sums.sampled[f] > 0.0 ? min(sums.sampled[f] / sums.total[f], 1.0) : 0.0; }
 
 vec3 colour_of(Sums sums, int f) { return sums.sampled[f] > 0.0 ? sums.colour[f] / sums.sampled[f] : vec3(0.0); }
+
+// Equation 5 of one pixel, as `costs` has it.
+vec2 cost_of(Sums sums) {
+  const ivec2 pairs[3] = ivec2[](ivec2(0, 1), ivec2(0, 2), ivec2(1, 2));
+  float e = 0.0;
+  bool defined = true;
+  for (int q = 0; q < 3; ++q) {
+    if (pair_weights[q] == 0.0) continue;
+    defined = defined && coverage_of(sums, pairs[q].x) >= least_coverage && coverage_of(sums, pairs[q].y) >= least_coverage;
+    e += pair_weights[q] * dot(abs(colour_of(sums, pairs[q].x) - colour_of(sums, pairs[q].y)), channel_sum);
+  }
+  return vec2(defined ? e : 0.0, (defined ? 1.0 : 0.0) + (sums.sampled[k] > 0.0 ? 2.0 : 0.0));
+}

@@ -5,6 +5,7 @@
 #include <array>
 #include <cmath>
 
+#include "render/cpu/sweep.h"
 #include "render/ray_geometry.h"
 
 namespace stuv {
@@ -15,8 +16,8 @@ struct GlCamera {
   std::array<float, 2> fraction{};
   float slope = 0;
   GLint visible = 0;
-  GLint layer = 0;
-  GLint pad = 0;
+  GLint block = 0;
+  GLint first_texel = 0;
 };
 struct GlStand {
   GLint camera = 0;
@@ -39,6 +40,16 @@ inline GlCamera gl_camera(const CameraMap& map, const Viewpoint& view, bool para
   out.whole = {static_cast<GLint>(std::lround(u)), static_cast<GLint>(std::lround(v))};
   out.fraction = {static_cast<float>(u - out.whole[0]), static_cast<float>(v - out.whole[1])};
   out.slope = static_cast<float>(slope);
+  return out;
+}
+
+/// One offset for all pixels, split by the CPU.
+inline GlCamera gl_camera(const CameraShift& shift) {
+  GlCamera out;
+  if (!shift.visible) return out;
+  out.visible = 1;
+  out.whole = {shift.dx, shift.dy};
+  out.fraction = {shift.ax, shift.ay};
   return out;
 }
 

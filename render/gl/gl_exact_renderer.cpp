@@ -3,9 +3,11 @@
 
 #include <algorithm>
 #include <array>
+#include <bit>
 #include <chrono>
 #include <cmath>
-#include <stdexcept>
+#include <cstdint>
+#include <limits>
 
 #include "core/error.h"
 #include "core/parallel.h"
@@ -13,6 +15,7 @@
 #include "render/cpu/sweep_blocks.h"
 #include "render/gl/gl_cameras.h"
 #include "render/gl/gl_context.h"
+#include "render/gl/gl_pictures.h"
 #include "render/gl/gl_renderer.h"
 #include "render/gl/gl_sources.h"
 
@@ -21,115 +24,39 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-/// Pictures of cameras in the layers of one texture array, as many as a budget allows, the last used kept.
-/// What is made here goes with the context.
-class TextureArray {
- public:
-  static constexpr std::size_t kBudget = std::size_t{1} << 30;
-
-  explicit TextureArray(const ViewSet& views) : lf_(views.lf) {
-    GLint layers = 0, size = 0;
-    glGetIntegerv(GL_MAX_ARRAY_TEXTURE_LAYERS, &layers);
-    glGetIntegerv(GL_MAX_TEXTURE_SIZE, &size);
-    if (std::max(lf_.width, lf_.height) > size)
-      throw Error(lf_.folder.string(),
-                  fmt::format("has views of {}x{}, this OpenGL takes {}", lf_.width, lf_.height, size),
-                  "use --backend cpu");
-    const std::size_t layer_bytes =
-        static_cast<std::size_t>(lf_.width) * lf_.height * 4 * bytes_per_sample(lf_.type);
-    most_layers_ =
-        std::min(static_cast<std::size_t>(layers), std::max<std::size_t>(1, kBudget / layer_bytes));
-    layer_of_.assign(views.cameras.size(), -1);
-  }
-  TextureArray(const TextureArray&) = delete;
-  TextureArray& operator=(const TextureArray&) = delete;
-
-  /// Uploads what is missing of `cameras`; Error if all together exceed the budget.
-  void need(PixelStore& store, const std::vector<int>& cameras) {
-    if (cameras.size() > most_layers_)
-      throw Error(lf_.folder.string(),
-                  fmt::format("this viewpoint needs {} views at once, the texture budget of {} MB holds {}",
-                              cameras.size(), kBudget >> 20, most_layers_),
-                  "use --backend cpu, or a viewpoint nearer to the cameras' plane");
-    if (cameras.size() > capacity_) grow(std::min(most_layers_, std::max(cameras.size(), 2 * capacity_)));
-    std::vector<char> wanted(layer_of_.size(), 0);
-    for (const int c : cameras) wanted[static_cast<std::size_t>(c)] = 1;
-    for (const int c : cameras)
-      if (layer_of_[static_cast<std::size_t>(c)] < 0) upload(store, c, free_layer(wanted));
-  }
-  int layer_of(int camera) const { return layer_of_[static_cast<std::size_t>(camera)]; }
-  GLuint texture() const { return texture_; }
-
- private:
-  void grow(std::size_t layers) {
-    glDeleteTextures(1, &texture_);
-    constexpr GLenum kFormats[] = {GL_RGBA8, GL_RGBA16, GL_RGBA16F, GL_RGBA32F};
-    glCreateTextures(GL_TEXTURE_2D_ARRAY, 1, &texture_);
-    glTextureStorage3D(texture_, 1, kFormats[static_cast<int>(lf_.type)], lf_.width, lf_.height,
-                       static_cast<GLsizei>(layers));
-    if (glGetError() != GL_NO_ERROR)
-      throw Error(lf_.folder.string(), "does not fit into the memory of OpenGL", "use --backend cpu");
-    capacity_ = layers;
-    std::fill(layer_of_.begin(), layer_of_.end(), -1);
-    camera_of_.assign(layers, -1);
-  }
-
-  /// A layer that holds nothing, or nothing that is wanted.
-  std::size_t free_layer(const std::vector<char>& wanted) const {
-    for (std::size_t i = 0; i < camera_of_.size(); ++i)
-      if (camera_of_[i] < 0) return i;
-    for (std::size_t i = 0; i < camera_of_.size(); ++i)
-      if (!wanted[static_cast<std::size_t>(camera_of_[i])]) return i;
-    throw std::logic_error("TextureArray: no layer is free");
-  }
-
-  template <class T>
-  void fill(const StoredView& view, std::size_t layer, GLenum type, T full) {
-    std::vector<T> rgba(static_cast<std::size_t>(view.width) * view.height * 4);
-    const std::uint8_t* mask = view.mask_plane();
-    for (std::size_t i = 0; i < rgba.size() / 4; ++i) {
-      for (int c = 0; c < 3; ++c) rgba[4 * i + c] = view.plane<T>(view.channels == 3 ? c : 0)[i];
-      rgba[4 * i + 3] = mask == nullptr || mask[i] ? full : T{0};
-    }
-    glTextureSubImage3D(texture_, 0, 0, 0, static_cast<GLint>(layer), view.width, view.height, 1, GL_RGBA,
-                        type, rgba.data());
-  }
-
-  void upload(PixelStore& store, int camera, std::size_t layer) {
-    const auto view = store.acquire(camera, {0, 0, lf_.width, lf_.height});
-    if (view->type == PixelType::u8)
-      fill<std::uint8_t>(*view, layer, GL_UNSIGNED_BYTE, 255);
-    else if (view->type == PixelType::u16)
-      fill<std::uint16_t>(*view, layer, GL_UNSIGNED_SHORT, 65535);
-    else
-      fill<float>(*view, layer, GL_FLOAT, 1);
-    if (camera_of_[layer] >= 0) layer_of_[static_cast<std::size_t>(camera_of_[layer])] = -1;
-    camera_of_[layer] = camera;
-    layer_of_[static_cast<std::size_t>(camera)] = static_cast<int>(layer);
-  }
-
-  const LightField& lf_;
-  std::size_t most_layers_ = 0, capacity_ = 0;
-  GLuint texture_ = 0;
-  std::vector<int> layer_of_, camera_of_;
-};
-
-/// Buffers of common.glsl, by binding.
+/// Buffers of common.glsl, by binding; the pictures follow.
 enum Slot { kCameras, kPositions, kStarts, kStands, kCosts, kRows, kBest, kOutput, kMembers, kSlots };
+
+/// As colour.comp packs a pixel without a plane.
+constexpr int kNoPlane = 0x1ffff;
+
+/// Invocations of a group, as common.glsl has them.
+constexpr int kGroupWidth = 32, kGroupHeight = 4;
+/// Pixels that an invocation of difference_shifted.comp makes, one above the other.
+constexpr int kColumn = 4;
+
+/// Planes that one dispatch evaluates: large enough to keep a GPU busy with small pictures, and as few as fit
+/// beside the pictures.
+int planes_at_once(std::size_t pixels, int planes) {
+  constexpr std::size_t kCosts_bytes = 8, kMost_bytes = std::size_t{64} << 20;
+  const auto fit = static_cast<int>(std::max<std::size_t>(1, kMost_bytes / (pixels * kCosts_bytes)));
+  return std::min({planes, fit, 16});
+}
 
 class GlExactRenderer : public Renderer {
  public:
   explicit GlExactRenderer(const std::shared_ptr<const ViewSet>& views)
-      : lattice_(*views), store_(views), textures_(*views) {
-    const auto build = [](const char* name, const char* source) {
-      return build_gl_program(name, (std::string(kCommonGlsl) + source).c_str());
+      : lattice_(*views), store_(views), pictures_(*views) {
+    const auto build = [&](const char* name, const char* source) {
+      const std::string text = "#version 450 core\n" + pictures_.definitions() + kCommonGlsl + source;
+      return build_gl_program(name, text.c_str());
     };
     difference_ = build("render/gl/difference.comp", kDifferenceComp);
+    difference_shifted_ = build("render/gl/difference_shifted.comp", kDifferenceShiftedComp);
     rows_ = build("render/gl/window_rows.comp", kWindowRowsComp);
     minimum_ = build("render/gl/minimum.comp", kMinimumComp);
     colour_ = build("render/gl/colour.comp", kColourComp);
     glCreateBuffers(kSlots, buffers_.data());
-    glCreateQueries(GL_TIMESTAMP, static_cast<GLsizei>(queries_.size()), queries_.data());
     upload_lattice();
   }
 
@@ -152,13 +79,16 @@ class GlExactRenderer : public Renderer {
   void prepare(const Sweep& sweep);
   void upload_lattice();
   void upload_cameras(const Sweep& sweep);
-  void upload_members(const Sweep& sweep, const std::vector<int>& cameras);
+  void upload_members(const std::vector<CameraPart>& parts);
   void set_uniforms(GLuint program, const Sweep& sweep) const;
-  void dispatch(GLuint program, const Viewpoint& view) const {
+  void dispatch(GLuint program, const Viewpoint& view, int planes = 1, int column = 1) const {
     glUseProgram(program);
-    glDispatchCompute(static_cast<GLuint>(view.width + 7) / 8, static_cast<GLuint>(view.height + 7) / 8, 1);
+    const int rows = kGroupHeight * column;
+    glDispatchCompute(static_cast<GLuint>((view.width + kGroupWidth - 1) / kGroupWidth),
+                      static_cast<GLuint>((view.height + rows - 1) / rows), static_cast<GLuint>(planes));
     glMemoryBarrier(GL_SHADER_STORAGE_BARRIER_BIT);
   }
+  const std::uint32_t* read_back(std::size_t bytes);
   template <class T>
   void upload(Slot slot, const std::vector<T>& data) {
     glNamedBufferData(buffers_[slot], static_cast<GLsizeiptr>(data.size() * sizeof(T)), data.data(),
@@ -174,12 +104,16 @@ class GlExactRenderer : public Renderer {
   GlContext context_;
   SweepLattice lattice_;
   PixelStore store_;
-  TextureArray textures_;
-  GLuint difference_ = 0, rows_ = 0, minimum_ = 0, colour_ = 0;
+  GlPictures pictures_;
+  GLuint difference_ = 0, difference_shifted_ = 0, rows_ = 0, minimum_ = 0, colour_ = 0;
   std::array<GLuint, kSlots> buffers_{};
   std::array<std::size_t, kSlots> reserved_{};
-  std::array<GLuint, 3> queries_{};
-  int second_lattice_ = 0, camera_count_ = 0;
+  std::vector<GLuint> queries_;
+  int second_lattice_ = 0, camera_count_ = 0, batch_ = 1;
+  bool shifted_ = false;  ///< meet_at_one_offset
+  GLuint staging_ = 0;    ///< what the host reads, mapped for good
+  std::size_t staging_bytes_ = 0;
+  const std::uint32_t* staged_ = nullptr;
 };
 
 void GlExactRenderer::upload_lattice() {
@@ -204,27 +138,29 @@ void GlExactRenderer::upload_cameras(const Sweep& sweep) {
   cameras.reserve(sweep.disparities.size() * set.cameras.size());
   for (const double d : sweep.disparities)
     for (std::size_t c = 0; c < set.cameras.size(); ++c) {
+      const auto place = pictures_.place_of(static_cast<int>(c));
       GlCamera camera;
-      const int layer = textures_.layer_of(static_cast<int>(c));
-      if (layer >= 0)
+      if (place.layer >= 0 && shifted_)
+        camera = gl_camera(sweep.shifts[cameras.size()]);
+      else if (place.layer >= 0)
         camera = gl_camera(camera_map(set.lf, set.cameras[c], sweep.view, d), sweep.view, sweep.parallel);
-      camera.layer = layer;
+      camera.block = place.block;
+      camera.first_texel = place.first_texel;
       cameras.push_back(camera);
     }
   upload(kCameras, cameras);
 }
 
-void GlExactRenderer::upload_members(const Sweep& sweep, const std::vector<int>& cameras) {
+void GlExactRenderer::upload_members(const std::vector<CameraPart>& parts) {
   struct Member {
     GLint camera;
     std::array<float, 3> weight;
   };
-  std::vector<Member> members(cameras.size());
-  for (std::size_t i = 0; i < cameras.size(); ++i) {
-    members[i] = {cameras[i], {0, 0, 0}};
-    for (std::size_t k = 0; k < 3; ++k)
-      for (const CameraWeight& c : sweep.constant[k])
-        if (c.camera == cameras[i]) members[i].weight[k] = static_cast<float>(c.weight);
+  std::vector<Member> members;
+  for (const CameraPart& part : parts) {
+    const auto& w = part.weight;
+    members.push_back(
+        {part.camera, {static_cast<float>(w[0]), static_cast<float>(w[1]), static_cast<float>(w[2])}});
   }
   upload(kMembers, members);
 }
@@ -241,6 +177,8 @@ void GlExactRenderer::set_uniforms(GLuint program, const Sweep& sweep) const {
   const kernels::PairWeights a = sweep.pair_weights();
   const float colour = lf.channels == 3 ? 1.0F : 0.0F;
   glProgramUniform2i(program, at(program, "size"), view.width, view.height);
+  glProgramUniform2i(program, at(program, "picture_size"), lf.width, lf.height);
+  glProgramUniform1i(program, at(program, "shifted"), shifted_);
   glProgramUniform1i(program, at(program, "constant_position"), sweep.positions.constant);
   glProgramUniform1i(program, at(program, "parallel_view"), sweep.parallel);
   glProgramUniformMatrix3fv(program, at(program, "ray_from_pixel"), 1, GL_FALSE, ray_from_pixel.data());
@@ -260,11 +198,14 @@ void GlExactRenderer::set_uniforms(GLuint program, const Sweep& sweep) const {
 
 /// Everything of a viewpoint that the shaders read.
 void GlExactRenderer::prepare(const Sweep& sweep) {
-  const SweepBlock whole(sweep, {0, 0, sweep.view.width, sweep.view.height});
-  textures_.need(store_, whole.cameras());
-  camera_count_ = whole.camera_count();
+  const std::vector<CameraPart> parts = cameras_in(sweep, {0, 0, sweep.view.width, sweep.view.height});
+  std::vector<int> in_use;
+  for (const CameraPart& part : parts) in_use.push_back(part.camera);
+  pictures_.need(store_, in_use);
+  camera_count_ = static_cast<int>(in_use.size());
+  shifted_ = meet_at_one_offset(sweep, in_use);
   upload_cameras(sweep);
-  upload_members(sweep, whole.cameras());
+  upload_members(parts);
   std::vector<std::array<float, 2>> positions;
   for (const Eigen::Vector2d& p : sweep.positions.p)
     positions.push_back({static_cast<float>(p.x()), static_cast<float>(p.y())});
@@ -272,17 +213,41 @@ void GlExactRenderer::prepare(const Sweep& sweep) {
   const std::size_t pixels = static_cast<std::size_t>(sweep.view.width) * sweep.view.height;
   GLint64 most = 0;
   glGetInteger64v(GL_MAX_SHADER_STORAGE_BLOCK_SIZE, &most);
-  if (static_cast<GLint64>(pixels * 32) > most)
+  // An OpenGL need not take more than 65535 groups in a row or column.
+  constexpr int kMostGroups = 65535;
+  if (static_cast<GLint64>(pixels * 16) > most || sweep.view.height > kMostGroups * kGroupHeight)
     throw Error("OpenGL", fmt::format("cannot make a picture of {}x{}", sweep.view.width, sweep.view.height),
                 "use a smaller --size or --backend cpu");
-  reserve(kCosts, pixels * 16);
-  reserve(kRows, pixels * 8);
+  batch_ = planes_at_once(pixels, sweep.options.planes);
+  const std::size_t batch_bytes = static_cast<std::size_t>(batch_) * pixels * 8;
+  reserve(kCosts, batch_bytes);
+  reserve(kRows, batch_bytes);
   reserve(kBest, pixels * 16);
-  reserve(kOutput, pixels * 32);
-  for (const GLuint program : {difference_, rows_, minimum_, colour_}) set_uniforms(program, sweep);
+  reserve(kOutput, pixels * 16);
+  const GLuint difference = shifted_ ? difference_shifted_ : difference_;
+  for (const GLuint program : {difference, rows_, minimum_, colour_}) set_uniforms(program, sweep);
   for (GLuint slot = 0; slot < kSlots; ++slot)
     glBindBufferBase(GL_SHADER_STORAGE_BUFFER, slot, buffers_[slot]);
-  glBindTextureUnit(0, textures_.texture());
+  pictures_.bind(kSlots);
+}
+
+/// The output, in memory that the GPU writes by itself.
+const std::uint32_t* GlExactRenderer::read_back(std::size_t bytes) {
+  if (staging_bytes_ != bytes) {
+    glDeleteBuffers(1, &staging_);
+    glCreateBuffers(1, &staging_);
+    constexpr GLbitfield kMapped = GL_MAP_READ_BIT | GL_MAP_PERSISTENT_BIT | GL_MAP_COHERENT_BIT;
+    const auto size = static_cast<GLsizeiptr>(bytes);
+    glNamedBufferStorage(staging_, size, nullptr, kMapped | GL_CLIENT_STORAGE_BIT);
+    staged_ = static_cast<const std::uint32_t*>(glMapNamedBufferRange(staging_, 0, size, kMapped));
+    staging_bytes_ = staged_ != nullptr ? bytes : 0;
+  }
+  glMemoryBarrier(GL_BUFFER_UPDATE_BARRIER_BIT);
+  if (staged_ != nullptr)
+    glCopyNamedBufferSubData(buffers_[kOutput], staging_, 0, 0, static_cast<GLsizeiptr>(bytes));
+  glFinish();
+  check_gl("rendering");
+  return staged_;
 }
 
 RenderedView GlExactRenderer::render(const Viewpoint& view, const RenderOptions& options, bool search,
@@ -292,43 +257,64 @@ RenderedView GlExactRenderer::render(const Viewpoint& view, const RenderOptions&
   context_.make_current();
   const Sweep sweep(store_, lattice_, view, options);
   prepare(sweep);
-  glQueryCounter(queries_[0], GL_TIMESTAMP);
-  for (int n = 0; n < options.planes; ++n) {
-    glProgramUniform1i(difference_, at(difference_, "n"), n);
-    glProgramUniform1i(minimum_, at(minimum_, "n"), n);
-    dispatch(difference_, view);
-    dispatch(rows_, view);
+  const GLuint difference = shifted_ ? difference_shifted_ : difference_;
+  std::vector<GLuint> times;
+  const auto timestamp = [&] {
+    if (times.size() == queries_.size()) {
+      queries_.push_back(0);
+      glCreateQueries(GL_TIMESTAMP, 1, &queries_.back());
+    }
+    times.push_back(queries_[times.size()]);
+    glQueryCounter(times.back(), GL_TIMESTAMP);
+  };
+  for (int n = 0; n < options.planes; n += batch_) {
+    const int batch = std::min(batch_, options.planes - n);
+    for (const GLuint program : {difference, minimum_})
+      glProgramUniform1i(program, at(program, "first_plane"), n);
+    glProgramUniform1i(minimum_, at(minimum_, "batch"), batch);
+    timestamp();
+    dispatch(difference, view, batch, shifted_ ? kColumn : 1);
+    timestamp();
+    dispatch(rows_, view, batch);
     dispatch(minimum_, view);
-    reporter.at("planes", static_cast<std::size_t>(n) + 1, static_cast<std::size_t>(options.planes));
+    reporter.at("planes", static_cast<std::size_t>(n + batch), static_cast<std::size_t>(options.planes));
   }
-  glQueryCounter(queries_[1], GL_TIMESTAMP);
+  glProgramUniform1i(colour_, at(colour_, "search"), search);
+  timestamp();
   dispatch(colour_, view);
-  glQueryCounter(queries_[2], GL_TIMESTAMP);
-  glMemoryBarrier(GL_BUFFER_UPDATE_BARRIER_BIT);
+  timestamp();
   const std::size_t pixels = static_cast<std::size_t>(view.width) * view.height;
-  std::vector<float> result(pixels * 8);
-  glGetNamedBufferSubData(buffers_[kOutput], 0, static_cast<GLsizeiptr>(pixels * 32), result.data());
-  check_gl("rendering");
+  const std::uint32_t* result = read_back(pixels * 16);
 
-  RenderedView out = empty_picture(view, store_.views().lf.channels);
+  RenderedView out = unset_picture(view, store_.views().lf.channels);
   parallel_for(view.height, [&](int y) {
+    const bool constant = sweep.positions.constant;
+    const bool all_inside = constant && lattice_.chart.inside_hull(sweep.positions.p[0]);
     for (int x = 0; x < view.width; ++x) {
-      const float* r = &result[8 * (static_cast<std::size_t>(y) * view.width + x)];
-      const int n = static_cast<int>(r[4]);
-      out.plane.at(x, y) = n;
-      if (n < 0) continue;
-      for (int c = 0; c < out.colour.channels; ++c) out.colour.at(x, y, c) = r[c];
-      out.disparity.at(x, y) = static_cast<float>(sweep.disparities[static_cast<std::size_t>(n)]);
-      if (lattice_.chart.inside_hull(sweep.positions.at(view, x, y)))
-        out.confidence.at(x, y) = search ? r[3] * r[5] : r[3];
+      const std::uint32_t* r = &result[4 * (static_cast<std::size_t>(y) * view.width + x)];
+      const auto n = static_cast<int>(r[3] >> 15);
+      const bool chosen = n != kNoPlane;
+      for (int c = 0; c < out.colour.channels; ++c) out.colour.at(x, y, c) = std::bit_cast<float>(r[c]);
+      out.plane.at(x, y) = chosen ? n : -1;
+      out.disparity.at(x, y) = chosen ? static_cast<float>(sweep.disparities[static_cast<std::size_t>(n)])
+                                      : std::numeric_limits<float>::quiet_NaN();
+      const bool inside = constant ? all_inside : lattice_.chart.inside_hull(sweep.positions.at(view, x, y));
+      out.confidence.at(x, y) = inside ? static_cast<float>(r[3] & 0x7fffU) / 0x7fff : 0;
     }
   });
-  std::array<GLuint64, 3> ns{};
-  for (std::size_t i = 0; i < ns.size(); ++i) glGetQueryObjectui64v(queries_[i], GL_QUERY_RESULT, &ns[i]);
+  // Differences begin at even times and end at odd ones.
+  std::array<double, 3> stages_ms{};
+  GLuint64 before = 0, now = 0;
+  for (std::size_t i = 0; i < times.size(); ++i, before = now) {
+    glGetQueryObjectui64v(times[i], GL_QUERY_RESULT, &now);
+    const std::size_t stage = i + 1 == times.size() ? 2 : (i + 1) % 2;
+    if (i > 0) stages_ms[stage] += static_cast<double>(now - before) * 1e-6;
+  }
   // Each camera of the aperture is sampled once a plane, by four texels.
   out.statistics.texels = 4.0 * camera_count_ * static_cast<double>(pixels) * (options.planes + 1);
-  out.statistics.stages_ms = {{"planes on the GPU", static_cast<double>(ns[1] - ns[0]) * 1e-6},
-                              {"colour on the GPU", static_cast<double>(ns[2] - ns[1]) * 1e-6}};
+  out.statistics.stages_ms = {{"differences on the GPU", stages_ms[0]},
+                              {"windows on the GPU", stages_ms[1]},
+                              {"colour on the GPU", stages_ms[2]}};
   out.statistics.milliseconds = std::chrono::duration<double, std::milli>(Clock::now() - start).count();
   return out;
 }

@@ -2,7 +2,7 @@
 
 namespace stuv {
 
-/// Texels per second that a compute shader fetches from an array of 8-bit colour textures. Throws Error if
+/// Texels per second that a compute shader fetches from 8-bit colour pictures. Throws Error if
 /// this machine has no OpenGL 4.5.
 double measure_texel_fetches(double seconds);
 

@@ -15,7 +15,7 @@ std::unique_ptr<FocalPlaneRenderer> make_gl_renderer(std::shared_ptr<const ViewS
 std::string gl_renderer_name();
 
 /// Method `exact` with all five steps on the GPU: nothing is read back but the result. Pictures of the
-/// cameras in use stay in a texture array of at most 1 GB; statistics hold the times that the GPU took.
+/// cameras in use stay in buffers of at most 1 GB; statistics hold the times that the GPU took.
 /// Throws Error if there is no OpenGL 4.5, or a viewpoint needs more than the budget.
 std::unique_ptr<Renderer> make_gl_exact_renderer(std::shared_ptr<const ViewSet> views);
 

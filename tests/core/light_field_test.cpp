@@ -131,7 +131,7 @@ TEST_CASE("unreadable views are named") {
   LightField lf = example(folder.path());
   CHECK_THROWS_WITH(LightFieldReader(lf).read(1), Contains("b.tif"));
   const Image image = from_float(texture(150, 100, 3), PixelType::u8);
-  const std::vector<float> expected = to_float(image).data;
+  const auto expected = to_float(image).data;
   write_view(lf, lf.views[1], image);
   const auto size = std::filesystem::file_size(folder / "views/b.tif");
   int refused = 0;

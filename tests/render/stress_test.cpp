@@ -286,12 +286,6 @@ TEST_CASE("stress: a picture of 1e5 rows has the costs of a short one") {
   const RenderOptions options = options_of(0, 4, 3);
   for (const Way& way : kWays) {
     INFO(name_of(way));
-    if (way.backend == Backend::gl) {
-      // Higher than this OpenGL's textures: it says so.
-      CHECK_THROWS_WITH(picture(way, tall, default_viewpoint(tall->lf, 0.5, 0.4), options),
-                        Catch::Contains("--backend cpu"));
-      continue;
-    }
     const RenderedView a = picture(way, tall, default_viewpoint(tall->lf, 0.5, 0.4), options);
     const RenderedView b = picture(way, low, default_viewpoint(low->lf, 0.5, 0.4), options);
     int other = 0;
