@@ -112,8 +112,8 @@ Reached reached(const RenderedView::Statistics& work, const MachineLimits& limit
   return out;
 }
 
-/// A view is rendered so many times and so long, for its median, unless it takes long: a GPU that was idle is slow
-/// at first.
+/// A view is rendered so many times and so long, for its median, unless it takes long: a GPU that was idle is
+/// slow at first.
 constexpr std::size_t kRepeats = 3;
 constexpr double kLeast_ms = 250;
 constexpr double kSlow_ms = 2000;
