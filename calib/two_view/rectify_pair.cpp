@@ -95,6 +95,7 @@ struct Pencil {
   Vector2d e;
   std::vector<Vector2d> direction;
   double nearest = 0, farthest = 0;
+  bool inwards = false;  ///< columns run towards e
 };
 
 /// Distances from e between which the picture lies.
@@ -113,7 +114,8 @@ ImageF polar_map(const Image& picture, const Pencil& pencil) {
   ImageF from(width, static_cast<int>(pencil.direction.size()), 2, kNaN);
   for (int y = 0; y < from.height; ++y)
     for (int x = 0; x < width; ++x) {
-      const Vector2d p = pencil.e + (pencil.nearest + x) * pencil.direction[y];
+      const double distance = pencil.inwards ? pencil.farthest - x : pencil.nearest + x;
+      const Vector2d p = pencil.e + distance * pencil.direction[y];
       if (!inside(p, picture)) continue;
       from.at(x, y, 0) = static_cast<float>(p.x());
       from.at(x, y, 1) = static_cast<float>(p.y());
@@ -251,6 +253,12 @@ std::optional<RectifiedPair> rectify_polar(const Image& a, const Image& b, const
     const double turned = (sign * transferred(F, pa.e, next) - pb.direction.back()).norm();
     angle += step / std::max(1.0, turned * pb.farthest);
   }
+  // Left of the epipole, where angles grow upwards and distances leftwards, both would stand on their heads.
+  if (!inside(pa.e, a) && pa.e.x() > 0.5 * a.width)
+    for (Pencil* pencil : {&pa, &pb}) {
+      std::reverse(pencil->direction.begin(), pencil->direction.end());
+      pencil->inwards = true;
+    }
   RectifiedPair pair;
   pair.polar = true;
   // Columns are distances from the epipole; each picture begins where it does.

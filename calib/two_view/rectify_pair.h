@@ -42,8 +42,8 @@ RectifyingHomographies rectifying_homographies(const Eigen::Matrix3d& K_a, const
 RectifiedPair rectify_planar(const Image& a, const Image& b, const RectifyingHomographies& H);
 
 /// Rows are half epipolar lines around the epipole, columns the distance from it [px] (Pollefeys, Koch, Van
-/// Gool, ICCV 1999): always possible while the epipoles are finite. Rows are so close that no pixel is lost.
-/// The matches tell which half lines belong together.
+/// Gool, ICCV 1999), or towards it where A lies to its left: always possible while the epipoles are finite.
+/// Rows are so close that no pixel is lost. The matches tell which half lines belong together.
 std::optional<RectifiedPair> rectify_polar(const Image& a, const Image& b, const Eigen::Matrix3d& F,
                                            const Matches& inliers);
 

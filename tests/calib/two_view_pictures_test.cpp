@@ -141,6 +141,25 @@ TEST_CASE("polar rectification where planar is impossible: epipole in the pictur
   }
 }
 
+TEST_CASE("polar rectification leaves pictures the right way up on either side of the epipole") {
+  for (const double e_x : {-150.0, 790.0}) {
+    const Eigen::Vector2d e(e_x, 250);
+    Matches matches;
+    for (int i = 0; i < 300; ++i) {
+      const Eigen::Vector2d a(40 + 27 * (i % 20), 40 + 26 * (i / 20));
+      matches.push_back({a, e + 1.05 * (a - e)});
+    }
+    const auto pair = rectify_polar(grey(640, 480), grey(640, 480), cross_matrix(e.homogeneous()), matches);
+    REQUIRE(pair);
+    CHECK(epipolar_rows_error(*pair, matches) < 2);
+    for (const ImageF* from : {&pair->from_a, &pair->from_b}) {
+      const int x = from->width / 2, y = from->height / 2;
+      CHECK(from->at(x + 50, y, 0) > from->at(x - 50, y, 0));
+      CHECK(from->at(x, y + 50, 1) > from->at(x, y - 50, 1));
+    }
+  }
+}
+
 TEST_CASE("pictures are matched by features, along epipolar lines, and by corners") {
   const StereoPair pair = stereo_pair();
   const Features fa = detect_features(pair.a), fb = detect_features(pair.b);
