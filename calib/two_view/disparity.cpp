@@ -223,7 +223,8 @@ struct Winner {
   ImageF confidence;  ///< of the left-right check and of the second best
 };
 
-Winner choose(const Candidates& c, const std::vector<std::uint16_t>& sum, int width_b) {
+Winner choose(const Candidates& c, const std::vector<std::uint16_t>& sum, const cv::Mat& mask_b) {
+  const int width_b = mask_b.cols;
   Winner w{ImageF(c.width, c.height, 1), ImageF(c.width, c.height, 1)};
   parallel_for(c.height, [&](int y) {
     std::vector<int> best(c.width);
@@ -252,7 +253,8 @@ Winner choose(const Candidates& c, const std::vector<std::uint16_t>& sum, int wi
       for (int j = 0; j < c.n[i]; ++j)
         if (std::abs(j - k) > 1) second = std::min(second, s[j]);
       const int xb = x + d;
-      const bool agrees = xb >= 0 && xb < width_b && std::abs(d_b[xb] - d) <= 1;
+      const bool agrees =
+          xb >= 0 && xb < width_b && mask_b.at<std::uint8_t>(y, xb) != 0 && std::abs(d_b[xb] - d) <= 1;
       w.confidence.at(x, y) =
           agrees ? std::max(0.01F, 1 - static_cast<float>(s[k]) / static_cast<float>(second)) : 0;
     }
@@ -315,7 +317,7 @@ Winner match_level(const Level& a, const Level& b, const Candidates& c, const Di
   parallel_for(2, [&](int half) { Scan(a.grey, c, costs, options, half == 0 ? 1 : -1).run(sums[half]); });
   for (std::size_t i = 0; i < costs.size(); ++i)
     sums[0][i] = static_cast<std::uint16_t>(sums[0][i] + sums[1][i]);
-  Winner w = choose(c, sums[0], b.grey.cols);
+  Winner w = choose(c, sums[0], b.mask);
   remove_speckles(w);
   fill(w, sign);
   median3(w.d);

@@ -99,6 +99,16 @@ TEST_CASE("disparity: masked, tiny and textureless pictures are no trouble") {
   const Disparity d = find_disparity(pair.a, pair.b, {.min_px = -40, .max_px = 0});
   CHECK(std::isnan(d.d_px.at(10, 10)));
   CHECK(std::abs(d.d_px.at(150, 100) + 30) < 1);
+  // What B lacks is not found there, whatever else looks alike.
+  pair.b.mask = Mask(pair.b.width, pair.b.height, 1, 255);
+  for (int y = 150; y < pair.b.height; ++y)
+    for (int x = 0; x < pair.b.width; ++x) pair.b.mask.at(x, y) = 0;
+  const Disparity half = find_disparity(pair.a, pair.b, {.min_px = -40, .max_px = 0});
+  int found = 0;
+  for (int y = 150; y < pair.b.height; ++y)
+    for (int x = 0; x < pair.b.width; ++x) found += half.confidence.at(x, y) > 0 ? 1 : 0;
+  CHECK(found == 0);
+  CHECK(half.confidence.at(150, 100) > 0);
   const Image flat = from_float(ImageF(64, 48, 1, 0.5F), PixelType::u8);
   CHECK(find_disparity(flat, flat, {.min_px = -8, .max_px = 8}).d_px.data.size() == 64U * 48U);
   const Image dot = from_float(ImageF(1, 1, 3, 0.5F), PixelType::u8);
