@@ -339,7 +339,7 @@ void judge(const Adjusted& a, const MovingOptions& options, bool scaled, int sli
         fmt::format("scale is that of the tracked poses, certain to {:.2g} %", 100 * a.scale_sigma));
   if (c.rig.centre_covariance_m2.size() != 0)
     c.notes.emplace_back(
-        "the sigmas of the places are stated, but have not been shown to be true: they may be too small");
+        "the sigmas of the places take the errors of keypoints as independent of each other");
   c.good = c.reasons.empty();
 }
 
