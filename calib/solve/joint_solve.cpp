@@ -186,6 +186,7 @@ void note_residuals(const Observations& in, const std::vector<int>& order, const
   out.rms_px = std::sqrt(sum_sq / (2.0 * out.inliers));
   const double freedom = 2.0 * out.inliers - l.states;
   out.noise_px = freedom > 0 ? std::sqrt(weighted_sum_sq / freedom) : kNaN;
+  out.sigma_px = out.noise_px;
   for (std::size_t c = 0; c < out.cameras.size(); ++c)
     out.camera_weight.push_back(problem.camera_weight(static_cast<int>(c)));
 }

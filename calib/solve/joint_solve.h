@@ -38,9 +38,11 @@ struct JointSolution {
   double rms_px = 0;                       ///< over x and y of the inliers
   double worst_px = 0;                     ///< longest residual vector of an inlier
   double noise_px = 0;                     ///< sqrt(sum w^2 x^2 / (measurements - states)): at weight 1
-  std::vector<double> camera_weight;       ///< of each camera's corners, on top of their own
+  /// What stated sigmas take that noise for: noise_px, times SigmaScale::scale where that was measured.
+  double sigma_px = 0;
+  std::vector<double> camera_weight;  ///< of each camera's corners, on top of their own
   /// Covariance of each camera's turn dtheta [rad] (its axes in the reference frame turn by it) and centre
-  /// [m], of unit corner noise: multiply by noise_px^2. (6 n) x (6 n), the reference's rows 0. Empty if off.
+  /// [m], of unit corner noise: multiply by sigma_px^2. (6 n) x (6 n), the reference's rows 0. Empty if off.
   Eigen::MatrixXd pose_covariance;
   std::vector<Eigen::Vector2d> focal_sigma;  ///< of fx, fy, of unit corner noise; 0 where held
   /// Covariance of all that a picture depends on, of unit corner noise: of each camera its lens parameters,
