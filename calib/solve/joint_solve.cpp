@@ -289,8 +289,8 @@ std::vector<BoardObservation> inliers_only(const Observations& in, const JointSo
   return boards;
 }
 
-/// `boards`: the inliers, and the corners that were taken out but are predicted within 3.5 sigma after all; how
-/// many these are.
+/// `boards`: the inliers, and the corners that were taken out but are predicted within 3.5 sigma after all;
+/// how many these are.
 int take_back(const Observations& in, const JointSolution& s, std::vector<BoardObservation>& boards) {
   const std::vector<Eigen::Vector3d> model = board_points(in.board);
   boards = inliers_only(in, s);
