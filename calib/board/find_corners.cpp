@@ -200,7 +200,9 @@ FoundCorners find_corners(const Recording& recording, const Board& board, const 
 
 std::vector<double> corner_weights(const BoardView& view, double sigma_ref_px) {
   std::vector<double> weights;
-  for (const double sigma : view.sigma_px) weights.push_back(std::isfinite(sigma) ? sigma_ref_px / sigma : 0);
+  const double usual = std::hypot(sigma_ref_px, kSolveFloorPx);
+  for (const double sigma : view.sigma_px)
+    weights.push_back(std::isfinite(sigma) ? usual / std::hypot(sigma, kSolveFloorPx) : 0);
   return weights;
 }
 

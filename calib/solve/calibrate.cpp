@@ -24,7 +24,7 @@ CameraSummary summary_of(const Calibration& c, int camera) {
   summary.rms_px = summary.seen.rms_px;
   summary.coverage = summary.seen.hull;
   summary.noise_px = s.noise_px / s.camera_weight[camera];
-  if (!s.focal_sigma.empty()) summary.focal_sigma_px = s.noise_px * s.focal_sigma[camera];
+  if (!s.focal_sigma.empty()) summary.focal_sigma_px = s.sigma_px * s.focal_sigma[camera];
   return summary;
 }
 
@@ -77,7 +77,7 @@ void fill_rig(Calibration& c, const std::vector<int>& determined) {
   std::vector<Eigen::Vector3d> centres;
   for (const int i : determined) centres.push_back(c.solution.cameras[i].cam_from_rig.centre());
   const Eigen::MatrixXd aligned =
-      std::pow(c.solution.noise_px, 2) *
+      std::pow(c.solution.sigma_px, 2) *
       rigidly_aligned_poses(block_of(c.solution.pose_covariance, determined, 6), centres);
   const auto n = static_cast<Eigen::Index>(determined.size());
   const Eigen::Matrix3d& R = c.layout.rig_from_ref.R;
@@ -219,6 +219,10 @@ Calibration calibrate(Observations observations, const Recording& recording,
   reporter.at("solving", 0, 1);
   c.solution = solve_largest_group(c.observations, groups, options.solve);
   reporter.at("solving", 1, 1);
+  // First of all, for it says how large the sigmas are that all else is judged by.
+  c.validation = validate_solution(c.observations, c.solution, options.solve, options.most_folds, reporter);
+  if (c.validation->left_out) c.cross_validation_px = c.validation->left_out->rms_px;
+  c.solution.sigma_px *= c.validation->sigma.scale;
   for (int i = 0; i < n; ++i) c.cameras.push_back(summary_of(c, i));
   note_undetermined(c, groups, options);
   std::vector<PlacedCamera> placed;
@@ -236,8 +240,6 @@ Calibration calibrate(Observations observations, const Recording& recording,
   if (c.rig.nearest_seen_m > 0)
     c.ghosting = ghosting(c.solution, c.layout, determined, working_depths(c.rig));
   c.structure = residual_structure(c.observations, c.solution);
-  c.validation = validate_solution(c.observations, c.solution, options.solve, options.most_folds, reporter);
-  if (c.validation->left_out) c.cross_validation_px = c.validation->left_out->rms_px;
   if (small_views > 0)
     c.notes.push_back(
         fmt::format("{} view(s) with fewer than 6 corners of the board took no part", small_views));

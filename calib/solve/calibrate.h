@@ -61,15 +61,14 @@ struct Calibration {
   std::vector<std::string> advice;   ///< what to record next, most useful first
 };
 
-/// The whole chain from corners to rig: camera_groups, seed_solve, joint_solve, fit_layout, uncertainty,
-/// validation, verdict (judge).
+/// The whole chain from corners to rig: camera_groups, seed_solve, joint_solve, validation, fit_layout,
+/// uncertainty, verdict (judge).
 ///
 /// Cameras that see no board, or share none with the largest group of cameras, are in the result, not
 /// determined, at no place. Views with fewer than 6 corners take no part.
 /// Centres' covariance is that after rigid alignment: C = s^2 P C_ref P, with P the projection off the six
-/// rigid motions of the determined centres and s the corner noise estimated from the residuals; turned into
-/// the rig's frame. Throws Error if fewer than 6 corners of every view are there, or a wanted lens is not
-/// known.
+/// rigid motions of the determined centres and s = JointSolution::sigma_px; turned into the rig's frame.
+/// Throws Error if fewer than 6 corners of every view are there, or a wanted lens is not known.
 Calibration calibrate(Observations observations, const Recording& recording,
                       const CalibrationOptions& options = {}, const Reporter& reporter = {});
 

@@ -100,7 +100,7 @@ Ghosting ghosting_at(const Sights& sights, const JointSolution& solution, const 
       const std::vector<Sight> seen = sights.of(xy, 1 / depth_m);
       if (seen.size() < 2) continue;
       const Eigen::VectorXd variances = ghosting_variances(seen, covariance_of(seen, solution));
-      const double square = std::pow(solution.noise_px, 2) * variances.mean();
+      const double square = std::pow(solution.sigma_px, 2) * variances.mean();
       if (!std::isfinite(square)) return {depth_m, kNaN, kNaN, -1};
       sum_sq += square;
       ++count;

@@ -57,7 +57,7 @@ constexpr double kMadOfSigma = 0.6745;
 /// whether it found one that is worth another solve. (mrcal's own rejection does the same and writes to
 /// stderr.)
 bool reject_outliers(MrcalProblem& problem, const Linearisation& l) {
-  constexpr double kOutlierSigmas = 4.5, kWorthSigmas = 5;
+  constexpr double kOutlierSigmas = 4, kWorthSigmas = 5;
   double sum_sq = 0;
   std::vector<double> sizes;
   for (std::size_t i = 0; i < problem.corners(); ++i) {
@@ -186,6 +186,7 @@ void note_residuals(const Observations& in, const std::vector<int>& order, const
   out.rms_px = std::sqrt(sum_sq / (2.0 * out.inliers));
   const double freedom = 2.0 * out.inliers - l.states;
   out.noise_px = freedom > 0 ? std::sqrt(weighted_sum_sq / freedom) : kNaN;
+  out.sigma_px = out.noise_px;
   for (std::size_t c = 0; c < out.cameras.size(); ++c)
     out.camera_weight.push_back(problem.camera_weight(static_cast<int>(c)));
 }
@@ -288,8 +289,8 @@ std::vector<BoardObservation> inliers_only(const Observations& in, const JointSo
   return boards;
 }
 
-/// `boards`: the inliers, and the corners that were taken out but are predicted within 4 sigma after all; how
-/// many these are.
+/// `boards`: the inliers, and the corners that were taken out but are predicted within 3.5 sigma after all;
+/// how many these are.
 int take_back(const Observations& in, const JointSolution& s, std::vector<BoardObservation>& boards) {
   const std::vector<Eigen::Vector3d> model = board_points(in.board);
   boards = inliers_only(in, s);
@@ -304,7 +305,7 @@ int take_back(const Observations& in, const JointSolution& s, std::vector<BoardO
     if (which.empty()) continue;
     const std::vector<Eigen::Vector2d> predicted = project(s.cameras[b.camera], points);
     for (std::size_t j = 0; j < which.size(); ++j) {
-      const double most = 4 * s.noise_px / s.camera_weight[b.camera];
+      const double most = 3.5 * s.noise_px / s.camera_weight[b.camera];
       if (!((predicted[j] - b.corners_px[which[j]]).cwiseAbs().maxCoeff() < most)) continue;
       boards[i].weights[which[j]] = b.weights.empty() ? 1 : b.weights[which[j]];
       ++count;

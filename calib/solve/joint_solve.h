@@ -18,7 +18,7 @@ struct SolveOptions {
   std::vector<Camera> known;    ///< lenses that are held, one a camera in order, of one model; empty: solved
   bool regularise = true;       ///< mrcal's light pull of distortions to 0 and centres to the middle
   bool board_warp = true;       ///< solve for the board's bend, two parabolas
-  bool reject_outliers = true;  ///< corners beyond 4.5 sigma, until none is left beyond 5
+  bool reject_outliers = true;  ///< corners beyond 4 sigma, until none is left beyond 5, as mrcal does
   bool reweight = true;         ///< cameras whose corners are noisier than others' weigh less
   bool covariance = true;
 };
@@ -38,9 +38,11 @@ struct JointSolution {
   double rms_px = 0;                       ///< over x and y of the inliers
   double worst_px = 0;                     ///< longest residual vector of an inlier
   double noise_px = 0;                     ///< sqrt(sum w^2 x^2 / (measurements - states)): at weight 1
-  std::vector<double> camera_weight;       ///< of each camera's corners, on top of their own
+  /// What stated sigmas take that noise for: noise_px, times SigmaScale::scale where that was measured.
+  double sigma_px = 0;
+  std::vector<double> camera_weight;  ///< of each camera's corners, on top of their own
   /// Covariance of each camera's turn dtheta [rad] (its axes in the reference frame turn by it) and centre
-  /// [m], of unit corner noise: multiply by noise_px^2. (6 n) x (6 n), the reference's rows 0. Empty if off.
+  /// [m], of unit corner noise: multiply by sigma_px^2. (6 n) x (6 n), the reference's rows 0. Empty if off.
   Eigen::MatrixXd pose_covariance;
   std::vector<Eigen::Vector2d> focal_sigma;  ///< of fx, fy, of unit corner noise; 0 where held
   /// Covariance of all that a picture depends on, of unit corner noise: of each camera its lens parameters,
@@ -60,7 +62,7 @@ inline constexpr int kMostCameraStates = 3500;
 ///
 /// In stages from the seed: geometry; then focal lengths and centres too; then all. Where the deviations of
 /// the cameras' residuals differ by more than a quarter, each camera's weights are divided by its own.
-/// Outliers are corners whose x or y residual exceeds 4.5 deviations of all, or 9 of the median where that is
+/// Outliers are corners whose x or y residual exceeds 4 deviations of all, or 8 of the median where that is
 /// less (many outliers make the deviation large); the solve repeats until none is left beyond 5, and then
 /// once more with those that fit after all.
 /// Covariances: (J^T J)^-1 of the last stage, J from mrcal_optimizer_callback, factorised by CHOLMOD, so all

@@ -68,6 +68,12 @@ Json halves_json(const Calibration& c) {
       {"lens_ratio", number(h.lens_ratio)}, {"position_ratio", number(h.centre_ratio)}, {"cameras", cameras}};
 }
 
+Json sigma_json(const Calibration& c) {
+  if (!c.validation) return nullptr;
+  const SigmaScale& sigma = c.validation->sigma;
+  return {{"ratio", number(sigma.ratio)}, {"freedom", number(sigma.freedom)}, {"scale", number(sigma.scale)}};
+}
+
 Json structure_json(const Calibration& c) {
   const ResidualStructure& s = c.structure;
   Json sets = Json::array();
@@ -119,6 +125,7 @@ Json report_json(const Calibration& c, double seconds, double seconds_corners) {
       {"cross_validation_px", c.cross_validation_px ? number(*c.cross_validation_px) : Json(nullptr)},
       {"left_out", left_out_json(c)},
       {"half_data", halves_json(c)},
+      {"sigma", sigma_json(c)},
       {"residuals", structure_json(c)},
       {"board_warp_m", list(s.warp_m)},
       {"noise_px", number(s.noise_px)},

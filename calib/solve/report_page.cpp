@@ -306,13 +306,16 @@ void add_validation(Page& page, const Calibration& c) {
   };
   page.add(
       "<h2>Half the data against the other half</h2><p>Lenses differ by {} times, places by {} times "
-      "what "
-      "the stated uncertainty of the halves says (1 is right, above 2 it is too small). Lens: rms over the "
+      "what independent errors of the corners would make of it. Over all solves without some of the sets: "
+      "{}; "
+      "all uncertainties stated here are {:.2f} times those of independent errors. Lens: rms over the "
       "picture, "
-      "but for what another pose could make up for.</p><table><tr><th>camera<th>lens "
+      "but for what another pose could make up for; predicted: by independent "
+      "errors.</p><table><tr><th>camera<th>lens "
       "[px]<th>predicted<th>place "
       "[mm]<th>predicted</tr>\n",
-      times(h.lens_ratio), times(h.centre_ratio));
+      times(h.lens_ratio), times(h.centre_ratio), times(c.validation->sigma.ratio),
+      c.validation->sigma.scale);
   for (const HalfData::Camera& camera : h.cameras)
     page.add("<tr><td>{}<td>{:.3f}<td>{:.3f}<td>{:.3f}<td>{:.3f}</tr>\n",
              escaped(c.observations.camera_names[camera.camera]), camera.lens_px, camera.lens_predicted_px,

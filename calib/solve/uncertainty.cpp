@@ -132,7 +132,7 @@ LatticeSigma lattice_sigma(const JointSolution& solution, const std::vector<Plac
     J.col(k) = (at[1] - at[0]) / (2 * step);
   });
   const Eigen::MatrixXd covariance = J * block_of(solution.pose_covariance, which, 6) * J.transpose();
-  const LatticeVector sigma = solution.noise_px * covariance.diagonal().cwiseMax(0).cwiseSqrt();
+  const LatticeVector sigma = solution.sigma_px * covariance.diagonal().cwiseMax(0).cwiseSqrt();
   return {sigma.segment<2>(0), sigma.segment<2>(2), sigma.segment<2>(4), sigma[6], sigma[7]};
 }
 
@@ -162,7 +162,7 @@ ProjectionMap projection_map(const JointSolution& solution, int camera, double d
         inverse_m * sight->by_direction;
     const Eigen::Matrix2d C = J * S * J.transpose();
     const double largest = 0.5 * C.trace() + std::hypot(0.5 * (C(0, 0) - C(1, 1)), C(0, 1));
-    const double sigma = solution.noise_px * std::sqrt(largest);
+    const double sigma = solution.sigma_px * std::sqrt(largest);
     if (!std::isfinite(sigma)) continue;
     map.sigma_px.back() = sigma;
     sum_sq += sigma * sigma;

@@ -37,7 +37,7 @@ LatticeSigma lattice_sigma(const JointSolution& solution, const std::vector<Plac
 ///   dq = dq/dlens dlens + dq/dp (dp/dpose dpose + R (omega x p + tau)),  (omega, tau): the boards' mean
 ///   motion
 ///
-/// (mrcal's mean-frames method.) The corners' noise is solution.noise_px.
+/// (mrcal's mean-frames method.) The corners' noise is solution.sigma_px.
 struct ProjectionMap {
   double distance_m = 0;  ///< from the camera; may be infinity
   int nx = 0, ny = 0;

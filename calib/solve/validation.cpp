@@ -6,7 +6,6 @@
 #include <mutex>
 
 #include "calib/solve/camera_sight.h"
-#include "calib/solve/uncertainty.h"
 #include "core/parallel.h"
 
 namespace stuv {
@@ -30,7 +29,7 @@ std::vector<int> sets_of(const Observations& in, const JointSolution& solution) 
 ///
 /// Q spans what the board's pose can do; J: d residual / d camera states, S their covariance at unit noise.
 struct Predicted {
-  double sum_sq = 0;
+  double noise_sq = 0, states_sq = 0;  ///< the corners' and the covariance's part
   int rows = 0;
 };
 
@@ -79,27 +78,42 @@ Predicted predicted_error(const Observations& in, const JointSolution& fold, con
     QtJ.middleCols(k * camera[i], k) += Q.middleRows<2>(2 * i).transpose() * by_states[i];
   trace -= (QtJ * fold.camera_covariance * QtJ.transpose()).trace();
   const int rows = static_cast<int>(2 * n - 6);
-  return {fold.noise_px * fold.noise_px * (rows + trace), rows};
+  const double variance = fold.noise_px * fold.noise_px;
+  return {variance * rows, variance * trace, rows};
 }
 
 struct Fold {
   HeldOutError error;
   Predicted predicted;
+  SolveDifference difference;
+  std::vector<double> focal_sigma;  ///< relative, of each camera
 };
 
-Fold run_fold(const Observations& in, const JointSolution& whole, int set, const SolveOptions& options) {
+std::vector<double> focal_sigmas(const JointSolution& s) {
+  std::vector<double> sigma(s.solved.size(), std::numeric_limits<double>::infinity());
+  if (s.focal_sigma.empty()) return sigma;
+  for (std::size_t c = 0; c < sigma.size(); ++c)
+    if (s.solved[c] && s.converged)
+      sigma[c] = s.noise_px * s.focal_sigma[c].maxCoeff() / std::abs(s.cameras[c].intrinsics[0]);
+  return sigma;
+}
+
+Fold run_fold(const Observations& in, const JointSolution& whole, int set, double distance_m,
+              const SolveOptions& options) {
   std::vector<bool> with(in.set_names.size(), true);
   with[set] = false;
   const JointSolution fold = solve_again(in, whole, with, options);
   Fold result;
+  result.focal_sigma = focal_sigmas(fold);
   if (!std::count(fold.solved.begin(), fold.solved.end(), true)) return result;
   result.error = held_out_error(in, fold, set, whole);
+  result.difference = solve_difference(whole, fold, whole, SolvePair::nested, distance_m);
   if (result.error.count > 0 && fold.camera_covariance.size() > 0)
     result.predicted = predicted_error(in, fold, whole, result.error.ref_from_board, set);
   return result;
 }
 
-CrossValidation sum_of(const std::vector<Fold>& folds) {
+CrossValidation sum_of(const std::vector<Fold>& folds, double sigma_scale) {
   CrossValidation cv;
   double sum_sq = 0, predicted = 0, rows = 0;
   bool known = true;
@@ -110,7 +124,8 @@ CrossValidation sum_of(const std::vector<Fold>& folds) {
     sum_sq += f.error.sum_sq_px2;
     known = known && f.predicted.rows > 0;
     if (f.predicted.rows == 0) continue;
-    predicted += f.predicted.sum_sq * f.error.count / f.predicted.rows;
+    predicted += (f.predicted.noise_sq + sigma_scale * sigma_scale * f.predicted.states_sq) * f.error.count /
+                 f.predicted.rows;
     rows += f.error.count;
   }
   cv.rms_px = std::sqrt(sum_sq / cv.residuals);
@@ -129,84 +144,12 @@ double mean_distance(const Observations& in, const JointSolution& s) {
   return count > 0 ? sum / count : 1;
 }
 
-/// Both lenses' difference over the picture, what a pose can make up for taken out; and its prediction.
-void compare_lenses(const JointSolution& whole, const JointSolution& a, const JointSolution& b,
-                    double distance_m, HalfData::Camera& out) {
-  const Camera& camera = whole.cameras[out.camera];
-  const Pose ref_from_cam = camera.cam_from_rig.inverse();
-  const mrcal_lensmodel_t lens = lens_model_of(camera);
-  const auto n_lens = static_cast<Eigen::Index>(camera.intrinsics.size());
-  const std::vector<Eigen::Vector2d> grid = picture_grid(camera, 12, 8);
-  Eigen::MatrixXd J(2 * grid.size(), n_lens + 6);
-  Eigen::Index rows = 0;
-  for (const Eigen::Vector3d& d : unproject(camera, grid)) {
-    if (!d.allFinite()) continue;
-    const auto sight = camera_sight(camera, lens, {ref_from_cam * Eigen::Vector3d(distance_m * d), 1});
-    if (!sight) continue;
-    J.middleRows<2>(rows) = sight->by_states;
-    rows += 2;
-  }
-  if (rows < 20) return;
-  J.conservativeResize(rows, Eigen::NoChange);
-  const Eigen::MatrixXd Q = Eigen::HouseholderQR<Eigen::MatrixXd>(J.rightCols<6>()).householderQ() *
-                            Eigen::MatrixXd::Identity(rows, 6);
-  const Eigen::MatrixXd PJ = J.leftCols(n_lens) - Q * (Q.transpose() * J.leftCols(n_lens));
-  Eigen::VectorXd difference(n_lens);
-  for (Eigen::Index i = 0; i < n_lens; ++i)
-    difference[i] = a.cameras[out.camera].intrinsics[i] - b.cameras[out.camera].intrinsics[i];
-  const Eigen::Index at = whole.camera_states * out.camera;
-  const Eigen::MatrixXd S = std::pow(a.noise_px, 2) * a.camera_covariance.block(at, at, n_lens, n_lens) +
-                            std::pow(b.noise_px, 2) * b.camera_covariance.block(at, at, n_lens, n_lens);
-  const double points = 0.5 * static_cast<double>(rows);
-  out.lens_px = (PJ * difference).norm() / std::sqrt(points);
-  out.lens_predicted_px = std::sqrt((PJ * S * PJ.transpose()).trace() / points);
-}
-
-void compare_centres(const JointSolution& a, const JointSolution& b, HalfData& out) {
-  const auto n = static_cast<Eigen::Index>(out.cameras.size());
-  Eigen::Matrix3Xd from(3, n), to(3, n);
-  std::vector<int> which;
-  std::vector<Eigen::Vector3d> centres;
-  for (Eigen::Index i = 0; i < n; ++i) {
-    which.push_back(out.cameras[i].camera);
-    from.col(i) = a.cameras[which.back()].cam_from_rig.centre();
-    to.col(i) = b.cameras[which.back()].cam_from_rig.centre();
-    centres.push_back(to.col(i));
-  }
-  const Eigen::Matrix4d T = Eigen::umeyama(from, to, false);
-  // Aligned variances do not depend on the frame, but for the small turn between the two.
-  const Eigen::MatrixXd S = std::pow(a.noise_px, 2) * block_of(a.pose_covariance, which, 6) +
-                            std::pow(b.noise_px, 2) * block_of(b.pose_covariance, which, 6);
-  const Eigen::VectorXd variance = rigidly_aligned_poses(S, centres).diagonal();
-  for (Eigen::Index i = 0; i < n; ++i) {
-    out.cameras[i].centre_m =
-        (T.topLeftCorner<3, 3>() * from.col(i) + T.topRightCorner<3, 1>() - to.col(i)).norm();
-    out.cameras[i].centre_predicted_m = std::sqrt(std::max(0.0, variance.segment<3>(6 * i + 3).sum()));
-  }
-}
-
-std::optional<HalfData> compare_halves(const Observations& in, const JointSolution& whole,
-                                       const JointSolution& a, const JointSolution& b) {
-  if (a.camera_covariance.size() == 0 || b.camera_covariance.size() == 0) return std::nullopt;
-  HalfData out;
-  for (std::size_t c = 0; c < whole.solved.size(); ++c)
-    if (a.solved[c] && b.solved[c]) out.cameras.push_back({static_cast<int>(c)});
-  if (out.cameras.size() < 2) return std::nullopt;
-  const double distance = mean_distance(in, whole);
-  for (HalfData::Camera& camera : out.cameras) compare_lenses(whole, a, b, distance, camera);
-  compare_centres(a, b, out);
-  // Where a half knows a lens to a pixel only, it is too far from the whole for its covariance to mean much.
-  constexpr double kMostPx = 1;
-  double lens = 0, centre = 0, count = 0;
-  for (const HalfData::Camera& c : out.cameras) {
-    if (!(c.lens_predicted_px < kMostPx)) continue;
-    if (c.lens_predicted_px > 0) lens += std::pow(c.lens_px / c.lens_predicted_px, 2);
-    if (c.centre_predicted_m > 0) centre += std::pow(c.centre_m / c.centre_predicted_m, 2);
-    ++count;
-  }
-  out.lens_ratio = std::sqrt(lens / count);
-  out.centre_ratio = std::sqrt(centre / count);
-  return out;
+std::optional<HalfData> half_data(const SolveDifference& d) {
+  if (d.cameras.size() < 2) return std::nullopt;
+  const auto ratio = [](const SolveDifference::Ratio& r) {
+    return r.freedom > 0 ? std::sqrt(r.square) : kNaN;
+  };
+  return HalfData{d.cameras, ratio(d.lens), ratio(d.centre)};
 }
 
 }  // namespace
@@ -218,6 +161,7 @@ Validation validate_solution(const Observations& in, const JointSolution& soluti
   if (sets.size() < 2 || !solution.converged || most_folds <= 0) return result;
   const int n_folds = std::min(most_folds, static_cast<int>(sets.size()));
   const int jobs = n_folds + 2;
+  const double distance_m = mean_distance(in, solution);
   std::vector<Fold> folds(n_folds);
   JointSolution halves[2];
   std::mutex mutex;
@@ -225,7 +169,8 @@ Validation validate_solution(const Observations& in, const JointSolution& soluti
   parallel_for(jobs, [&](int job) {
     if (job >= 2) {
       const int f = job - 2;
-      folds[f] = run_fold(in, solution, sets[static_cast<std::size_t>(f) * sets.size() / n_folds], options);
+      const int set = sets[static_cast<std::size_t>(f) * sets.size() / n_folds];
+      folds[f] = run_fold(in, solution, set, distance_m, options);
     } else {
       std::vector<bool> with(in.set_names.size(), false);
       for (std::size_t i = static_cast<std::size_t>(job); i < sets.size(); i += 2) with[sets[i]] = true;
@@ -234,9 +179,22 @@ Validation validate_solution(const Observations& in, const JointSolution& soluti
     const std::lock_guard<std::mutex> lock(mutex);
     reporter.at("cross-validating", ++done, jobs);
   });
-  const CrossValidation left_out = sum_of(folds);
+  std::vector<SolveDifference> differences = {
+      solve_difference(solution, halves[0], halves[1], SolvePair::separate, distance_m)};
+  result.halves = half_data(differences.front());
+  result.focal_sigma_without = focal_sigmas(halves[0]);
+  const auto note = [&](const std::vector<double>& sigma) {
+    for (std::size_t c = 0; c < sigma.size(); ++c)
+      result.focal_sigma_without[c] = std::min(result.focal_sigma_without[c], sigma[c]);
+  };
+  note(focal_sigmas(halves[1]));
+  for (Fold& f : folds) {
+    note(f.focal_sigma);
+    differences.push_back(std::move(f.difference));
+  }
+  result.sigma = sigma_scale(differences);
+  const CrossValidation left_out = sum_of(folds, result.sigma.scale);
   if (left_out.residuals > 0) result.left_out = left_out;
-  result.halves = compare_halves(in, solution, halves[0], halves[1]);
   return result;
 }
 

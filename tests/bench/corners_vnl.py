@@ -11,5 +11,9 @@ print('# filename x y level')
 for file in sorted(glob.glob(os.path.join(rec, 'corners', '*', '*', '*.json'))):
     folder, camera = os.path.split(file)
     picture = os.path.join(pictures, 'Position%s_Camera%s.png' % (os.path.basename(folder), camera[:-5]))
-    for corner in json.load(open(file)).get('corners_px', []) or [None]:
-        print(picture, *(('%.6f' % corner[0], '%.6f' % corner[1], '0') if corner else ('-', '-', '-')))
+    kept = json.load(open(file))
+    columns, rows = map(int, kept['board'].split(':')[1].split('x'))
+    # The level is a weight of 2^-level: all that was found counts the same.
+    seen = {int(corner[0]): corner for corner in kept['corners']}
+    for k in range(columns * rows if seen else 1):
+        print(picture, *(('%.6f' % seen[k][1], '%.6f' % seen[k][2], '0') if k in seen else ('-', '-', '-')))

@@ -390,7 +390,7 @@ TEST_CASE("mrcal-models: on the corners of 186 boards our solve is as good as mr
   CHECK(ours.solution.outliers < 0.05 * ours.solution.inliers);
   const auto& f = ours.solution.cameras[0].intrinsics;
   for (int k = 0; k < 2; ++k) {
-    const double sigma = ours.solution.noise_px * ours.solution.focal_sigma[0][k];
+    const double sigma = ours.solution.sigma_px * ours.solution.focal_sigma[0][k];
     std::printf("  f %.2f against %.2f px, sigma %.2f\n", f[k], reference.intrinsics[k], sigma);
   }
 }

@@ -349,5 +349,8 @@ TEST_CASE("weights: a usual corner weighs 1, an absent one nothing") {
   const double nan = std::nan("");
   found.views = {{{{{1, 1}, {2, 2}, {nan, nan}}, {0.02, 0.04, nan}}, {{{3, 3}}, {0.04}}}};
   CHECK(median_sigma_px(found) == 0.04);
-  CHECK(corner_weights(found.views[0][0], 0.04) == std::vector<double>{2, 1, 0});
+  const std::vector<double> weights = corner_weights(found.views[0][0], 0.04);
+  CHECK(weights[0] == Approx(std::hypot(0.04, kSolveFloorPx) / std::hypot(0.02, kSolveFloorPx)));
+  CHECK(weights[1] == 1);
+  CHECK(weights[2] == 0);
 }

@@ -248,7 +248,7 @@ TEST_CASE("ghosting that is not known is no number") {
   CHECK(std::isnan(near.worst_px));
   CHECK(near.worst_camera == -1);
   JointSolution broken = c.solution;
-  broken.noise_px = std::nan("");
+  broken.sigma_px = std::nan("");
   CHECK(std::isnan(ghosting(broken, c.layout, {0, 1, 2, 3}, {1}).front().worst_px));
   broken = c.solution;
   broken.camera_covariance(3, 3) = std::nan("");

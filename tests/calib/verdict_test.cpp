@@ -108,6 +108,82 @@ TEST_CASE("left-out boards and half-data solves differ by what the uncertainty s
   CHECK(left_out < 1.05);
 }
 
+TEST_CASE("errors that corners of a view share make stated uncertainties larger, independent ones do not") {
+  // Smooth over each view, as blur and a lens model that does not quite fit make them.
+  Scene scene = make_scene(2, 3, 8, {}, 0.1);
+  Scene shared = scene;
+  std::mt19937_64 random(7);
+  std::normal_distribution<double> normal(0, 0.1);
+  for (BoardObservation& b : shared.observations.boards) {
+    Eigen::Matrix<double, 2, 6> a;
+    for (Eigen::Index i = 0; i < a.size(); ++i) a.data()[i] = normal(random);
+    for (Eigen::Vector2d& q : b.corners_px) {
+      const double x = q.x() / 400 - 1, y = q.y() / 300 - 1;
+      Eigen::Matrix<double, 6, 1> shape;
+      shape << 1, x, y, x * x, x * y, y * y;
+      q += a * shape;
+    }
+  }
+  const Calibration independent = calibrate(scene.observations, scene.recording);
+  CHECK(independent.validation->sigma.scale == 1);
+  CHECK(independent.validation->sigma.ratio == Approx(1).margin(0.4));
+  CHECK(independent.solution.sigma_px == independent.solution.noise_px);
+  CHECK_FALSE(has(independent.notes, "independent errors"));
+
+  const Calibration c = calibrate(shared.observations, shared.recording);
+  INFO(all_of(c));
+  const double scale = c.validation->sigma.scale;
+  CHECK(scale > 1.5);
+  CHECK(c.solution.sigma_px == Approx(scale * c.solution.noise_px));
+  CHECK(c.cameras[0].focal_sigma_px.x() ==
+        Approx(scale * c.solution.noise_px * c.solution.focal_sigma[0].x()));
+  CHECK(report_json(c, 1, 1)["sigma"]["scale"] == Approx(scale));
+  double z_sq = 0, centre_sq = 0;
+  const auto errors = aligned_errors(c.rig, shared.truth);
+  for (std::size_t i = 0; i < shared.truth.size(); ++i) {
+    for (int k = 0; k < 2; ++k)
+      z_sq += std::pow((c.rig.cameras[i].camera.intrinsics[k] - shared.truth[i].intrinsics[k]) /
+                           c.cameras[i].focal_sigma_px[k],
+                       2) /
+              12;
+    for (int k = 0; k < 3; ++k)
+      centre_sq += std::pow(errors[i][k] / c.rig.cameras[i].position_sigma_m[k], 2) / 18;
+  }
+  std::printf("shared errors: scale %.2f, focal lengths' error over sigma %.2f, centres' %.2f\n", scale,
+              std::sqrt(z_sq), std::sqrt(centre_sq));
+  CHECK(std::sqrt(z_sq) < 2);
+  CHECK(std::sqrt(centre_sq) < 2);
+  CHECK(scale * std::sqrt(std::min(z_sq, centre_sq)) > 1.2);  // without the scale they would be too small
+}
+
+TEST_CASE("two boards fit any lens: nothing confirms it") {
+  Scene scene = make_scene(2, 3, 8, {}, 0.05);
+  Scene two = scene;
+  std::erase_if(two.observations.boards, [](const auto& b) { return b.set > 1; });
+  const Calibration c = calibrate(two.observations, two.recording);
+  INFO(all_of(c));
+  CHECK(c.solution.rms_px < 0.06);
+  CHECK_FALSE(c.good);
+  for (const CameraSummary& camera : c.cameras) CHECK_THAT(camera.undetermined, Contains("nothing confirms"));
+  CHECK(has(c.reasons, "nothing confirms its lens"));
+}
+
+TEST_CASE("a camera with one whole board and a cut one is named, two whole ones or three are enough") {
+  for (const int whole : {1, 2}) {
+    Scene scene = make_scene(2, 3, 8, {}, 0.05);
+    std::erase_if(scene.observations.boards, [](const auto& b) { return b.camera == 5 && b.set > 1; });
+    for (BoardObservation& b : scene.observations.boards)
+      if (whole == 1 && b.camera == 5 && b.set == 1)
+        for (std::size_t k = 0; k < 10; ++k) b.corners_px[k].x() = std::nan("");
+    const Calibration c = calibrate(scene.observations, scene.recording);
+    INFO(all_of(c));
+    for (int i = 0; i < 5; ++i) CHECK(c.rig.cameras[i].determined);
+    if (whole == 1) CHECK_FALSE(c.good);
+    CHECK(c.rig.cameras[5].determined == (whole == 2));
+    if (whole == 1) CHECK_THAT(c.cameras[5].undetermined, Contains("one whole board and one in part"));
+  }
+}
+
 TEST_CASE("a board that moved between the cameras' frames is suspected") {
   Scene scene = make_scene(2, 3, 12, {}, 0.1);
   const Scene still = scene;
