@@ -105,7 +105,7 @@ TEST_CASE("viewer: overlays") {
   view.confidence.data = {1, 0};
   ViewerState state;
   state.options.d_max = 4;
-  CHECK(screen_picture(view, state).data == std::vector<std::uint8_t>(6, 128));
+  CHECK(screen_picture(view, state).data == decltype(Mask::data)(6, 128));
   state.overlay = Overlay::depth;
   const auto depth = screen_picture(view, state);
   CHECK(depth.at(0, 0, 2) > depth.at(0, 0, 0) + 50);  // far: blue
