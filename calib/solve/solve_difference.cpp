@@ -179,6 +179,8 @@ SolveDifference solve_difference(const JointSolution& whole, const JointSolution
 
 SigmaScale sigma_scale(const std::vector<SolveDifference>& differences) {
   constexpr double kClear = 3, kShared = 0.5;
+  // Pictures of a rendered rig, whose errors fit its sigmas, come to 1.2 to 1.9; array20 to 3.
+  constexpr double kLarge = 2;
   double square = 0, freedom = 0;
   for (const SolveDifference& d : differences)
     for (const SolveDifference::Ratio& r : {d.lens, d.centre}) {
@@ -190,7 +192,7 @@ SigmaScale sigma_scale(const std::vector<SolveDifference>& differences) {
   result.ratio = std::sqrt(square / freedom);  // NaN for 0 / 0
   result.freedom = kShared * freedom;
   const double excess = result.ratio * result.ratio - 1;
-  if (excess > kClear * std::sqrt(2 / result.freedom)) result.scale = result.ratio;
+  if (result.ratio > kLarge && excess > kClear * std::sqrt(2 / result.freedom)) result.scale = result.ratio;
   return result;
 }
 

@@ -45,11 +45,12 @@ SolveDifference solve_difference(const JointSolution& whole, const JointSolution
 struct SigmaScale {
   double ratio = 0;    ///< measured; NaN if there was nothing to compare
   double freedom = 0;  ///< of ratio^2: its variance is 2 / freedom
-  double scale = 1;    ///< ratio where it is significantly above 1
+  double scale = 1;    ///< ratio where it is large and significantly above 1
 };
 
 /// Pools differences, each weighed by its freedom. The sum of freedoms counts half: they share data.
-/// Significant: ratio^2 - 1 of more than three of its deviations.
+/// Significant: ratio^2 - 1 of more than three of its deviations. Large: above 2; smaller ones say less than
+/// the sigmas do.
 SigmaScale sigma_scale(const std::vector<SolveDifference>& differences);
 
 }  // namespace stuv
