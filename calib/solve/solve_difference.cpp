@@ -179,7 +179,8 @@ SolveDifference solve_difference(const JointSolution& whole, const JointSolution
 
 SigmaScale sigma_scale(const std::vector<SolveDifference>& differences) {
   constexpr double kClear = 3, kShared = 0.5;
-  // Pictures of a rendered rig, whose errors fit its sigmas, come to 1.2 to 1.9; array20 to 3.
+  // The rendered 5x5 rig of tests/app/chain_test.cpp fits its sigmas without a scale, and does not with one
+  // below this.
   constexpr double kLarge = 2;
   double square = 0, freedom = 0;
   for (const SolveDifference& d : differences)
