@@ -105,6 +105,8 @@ void check_without_set_112(const fs::path& rec, const fs::path& rig) {
     if (camera["name"] == "20") CHECK_THAT(camera["reason"].get<std::string>(), Contains("one in part"));
     if (camera["name"] == "20") continue;
     ++determined;
+    CHECK(camera["focal_px"][0] > 1050);
+    CHECK(camera["focal_px"][0] < 1070);
     // With all sets: 1055 px for the first camera, 1057 to 1062 for the others.
     CHECK(std::abs(camera["focal_px"][0].get<double>() - 1059.8) <
           3 * camera["focal_sigma_px"][0].get<double>() + 3);
