@@ -58,7 +58,8 @@ uniform int k;                 // filter of the picture
 uniform vec3 channel_sum;      // 1 for each channel there is, else 0
 
 #if defined(TEXEL_U8)
-// Scaled by kUnit once blended. Integers below 2^23 lie in the last bits of 2^23 + integer: two quick operations, where a conversion is a slow one.
+// Scaled by kUnit once blended. Integers below 2^23 lie in the last bits of 2^23 + integer: two quick operations, where
+// a conversion is a slow one.
 vec3 rgb_of(uint p) {
   uvec3 bytes = uvec3(p, p >> 8, p >> 16) & 0xffu;
   return uintBitsToFloat(bytes | 0x4b000000u) - 8388608.0;

@@ -81,6 +81,7 @@ class GlExactRenderer : public Renderer {
   void upload_cameras(const Sweep& sweep);
   void upload_members(const std::vector<CameraPart>& parts);
   void set_uniforms(GLuint program, const Sweep& sweep) const;
+  GLuint difference_in_use() const { return shifted_ ? difference_shifted_ : difference_; }
   void dispatch(GLuint program, const Viewpoint& view, int planes = 1, int column = 1) const {
     glUseProgram(program);
     const int rows = kGroupHeight * column;
@@ -224,8 +225,7 @@ void GlExactRenderer::prepare(const Sweep& sweep) {
   reserve(kRows, batch_bytes);
   reserve(kBest, pixels * 16);
   reserve(kOutput, pixels * 16);
-  const GLuint difference = shifted_ ? difference_shifted_ : difference_;
-  for (const GLuint program : {difference, rows_, minimum_, colour_}) set_uniforms(program, sweep);
+  for (const GLuint program : {difference_in_use(), rows_, minimum_, colour_}) set_uniforms(program, sweep);
   for (GLuint slot = 0; slot < kSlots; ++slot)
     glBindBufferBase(GL_SHADER_STORAGE_BUFFER, slot, buffers_[slot]);
   pictures_.bind(kSlots);
@@ -257,7 +257,7 @@ RenderedView GlExactRenderer::render(const Viewpoint& view, const RenderOptions&
   context_.make_current();
   const Sweep sweep(store_, lattice_, view, options);
   prepare(sweep);
-  const GLuint difference = shifted_ ? difference_shifted_ : difference_;
+  const GLuint difference = difference_in_use();
   std::vector<GLuint> times;
   const auto timestamp = [&] {
     if (times.size() == queries_.size()) {

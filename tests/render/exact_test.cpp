@@ -199,6 +199,30 @@ TEST_CASE("exact is the picture of literal from every viewpoint, lattice and typ
   check_every_viewpoint(Backend::gl);
 }
 
+TEST_CASE("exact is the picture of literal where pictures fill more than one buffer of OpenGL") {
+  // 16 MB each as floats; Mesa's buffers hold 128 MB.
+  const auto set = scene_of({.rows = 4, .cols = 4, .width = 1024, .height = 1024}, PixelType::f32, 1, false);
+  Viewpoint crop = default_viewpoint(set->lf, 1.4, 1.7);
+  crop.width = 80;
+  crop.height = 60;
+  crop.cx_px -= 480;
+  crop.cy_px -= 490;
+  Viewpoint behind = crop;
+  behind.z = -0.3;
+  RenderOptions options;
+  options.planes = 5;
+  options.window = 2;
+  options.d_min = 0;
+  options.d_max = 5;
+  for (const Viewpoint& view : {crop, behind, resized(default_viewpoint(set->lf, 1.4, 1.7), 80, 60)}) {
+    INFO("z " << view.z << " f " << view.focal_px);
+    const Difference d = literal_against_exact(set, view, options, Backend::gl);
+    CHECK(d.count > 1000);
+    CHECK(d.colour <= 1e-4);
+    CHECK(d.plane <= 1e-3);
+  }
+}
+
 TEST_CASE("exact is the picture of literal: knights, OpenGL") {
   check_scene("knights/views.csv", "-347,231", 13, 3, Backend::gl);
 }
