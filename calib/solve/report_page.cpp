@@ -129,10 +129,10 @@ void add_layout(Page& page, const Calibration& c) {
     if (rc.determined) worst = std::max(worst, rc.off_lattice_m.head<2>().norm());
   }
   const double spacing = std::max({1e-6, rig.s_step_m.norm(), rig.t_step_m.norm()});
-  const double width = 900, margin = 50;
+  const double width = 900, margin = 90;
   const double scale = (width - 2 * margin) / std::max(box.sizes().x(), std::max(spacing, box.sizes().y()));
-  // No dot leaves the drawing.
-  const double longest = std::min(0.35 * spacing, (margin - 8) / scale);
+  // Nothing leaves the drawing: a dot may stand a remainder outside, and its ellipse's radius further.
+  const double longest = std::min(0.35 * spacing, (margin - 8) / (2 * scale));
   const double exaggerate = std::max(1.0, std::floor(longest / worst));
   const double height = 2 * margin + scale * box.sizes().y();
   double largest = 0;
