@@ -392,28 +392,86 @@ TEST_CASE("vivid: a full disk ends in one line, and what was finished stays", "[
   shell(fmt::format("umount {}", disk.string()));
 }
 
+/// Whether the guest itself keeps time: on each of its processors a thread that goes before all others wakes
+/// every 2 ms; how late it wakes is how long that processor stood still, which no program in the guest can
+/// help.
+class Witness {
+ public:
+  /// A quarter of a frame at 30 a second, in ms: drivers of a guest that stood still for longer may lose
+  /// frames.
+  static constexpr double kStoodStill = 8;
+
+  Witness() : late_(std::thread::hardware_concurrency()) {
+    for (std::size_t cpu = 0; cpu < late_.size(); ++cpu)
+      threads_.emplace_back([this, cpu](const std::stop_token& stop) { watch(cpu, stop); });
+  }
+
+  void stop() { threads_.clear(); }
+
+  /// The longest time that a processor stood still between two times of the monotonic clock, once stopped.
+  double worst_ms(std::int64_t first_ns = 0, std::int64_t last_ns = INT64_MAX) const {
+    double worst = 0;
+    for (const auto& late : late_)
+      for (const auto& [at_ns, ms] : late)
+        if (first_ns <= at_ns && at_ns <= last_ns) worst = std::max(worst, ms);
+    return worst;
+  }
+
+ private:
+  void watch(std::size_t cpu, const std::stop_token& stop) {
+    cpu_set_t only;
+    CPU_ZERO(&only);
+    CPU_SET(cpu, &only);
+    sched_param first{};
+    first.sched_priority = ::sched_get_priority_max(SCHED_FIFO);
+    if (::pthread_setaffinity_np(::pthread_self(), sizeof only, &only) != 0 ||
+        ::pthread_setschedparam(::pthread_self(), SCHED_FIFO, &first) != 0)
+      std::terminate();  // root in a guest may do both
+    while (!stop.stop_requested()) {
+      const auto due = std::chrono::steady_clock::now() + std::chrono::milliseconds(2);
+      std::this_thread::sleep_until(due);
+      const auto now = std::chrono::steady_clock::now();
+      late_[cpu].emplace_back(now.time_since_epoch() / std::chrono::nanoseconds(1),
+                              std::chrono::duration<double, std::milli>(now - due).count());
+    }
+  }
+
+  std::vector<std::vector<std::pair<std::int64_t, double>>> late_;
+  std::vector<std::jthread> threads_;
+};
+
 TEST_CASE("vivid: a disk slower than the cameras costs sets, not memory, and they are counted", "[disk]") {
-  CameraSourceOptions options = vivid_rig(2);
-  options.duration_s = 8;
-  const auto source = open_cameras(options);
   const auto resident = [] {
     long pages = 0, there = 0;
     std::ifstream("/proc/self/statm") >> pages >> there;
     return there * ::sysconf(_SC_PAGESIZE);
   };
-  long early = 0;
-  int sets = 0;
-  while (const auto set = source->next()) {
-    std::this_thread::sleep_for(std::chrono::milliseconds(200));
-    if (++sets == 10) early = resident();
+  bool kept_time = false;
+  for (int i = 0; i < 4 && !kept_time; ++i) {
+    CameraSourceOptions options = vivid_rig(2);
+    options.duration_s = 8;
+    Witness witness;
+    const auto source = open_cameras(options);
+    long early = 0;
+    int sets = 0;
+    while (const auto set = source->next()) {
+      std::this_thread::sleep_for(std::chrono::milliseconds(200));
+      if (++sets == 10) early = resident();
+    }
+    CHECK(resident() - early < 4 << 20);
+    witness.stop();
+    const Json report = source->report();
+    CHECK(report["sets"]["dropped_queue_full"].get<int>() > 80);
+    int dropped = 0;
+    for (const Json& camera : report["cameras"]) {
+      dropped += camera["dropped"].get<int>();
+      CHECK(camera["recorded"].get<int>() > sets * 3 / 4);
+    }
+    kept_time = dropped == 0 || witness.worst_ms() < Witness::kStoodStill;
+    if (kept_time) CHECK(dropped == 0);  // the driver always has buffers
   }
-  CHECK(resident() - early < 4 << 20);
-  const Json report = source->report();
-  CHECK(report["sets"]["dropped_queue_full"].get<int>() > 80);
-  for (const Json& camera : report["cameras"]) {
-    CHECK(camera["dropped"] == 0);  // the driver always has buffers
-    CHECK(camera["recorded"].get<int>() > sets * 3 / 4);
-  }
+  if (!kept_time)
+    fmt::print("not shown that the driver always has buffers: the guest stood still each time\n");
 }
 
 struct SetTimes {
@@ -451,87 +509,137 @@ SetTimes set_times(const Recording& recording, double period_ms) {
   return times;
 }
 
+/// Processor time of the children that have ended.
+double children_s() {
+  rusage usage{};
+  ::getrusage(RUSAGE_CHILDREN, &usage);
+  return static_cast<double>(usage.ru_utime.tv_sec + usage.ru_stime.tv_sec) +
+         1e-6 * static_cast<double>(usage.ru_utime.tv_usec + usage.ru_stime.tv_usec);
+}
+
+struct PeerTimes {
+  double s = 0;       ///< for 5 s of frames
+  double cpu_ms = 0;  ///< a frame
+};
+
+/// v4l2-ctl's own streaming to files, 150 frames a camera.
+PeerTimes stream_with_v4l2_ctl(int cameras, const fs::path& disk) {
+  std::string line;
+  for (int i = 0; i < cameras; ++i)
+    line += fmt::format(
+        "v4l2-ctl -d /dev/video{0} --set-fmt-video=width=640,height=360,pixelformat=YUYV -p 30; "
+        "v4l2-ctl -d /dev/video{0} --stream-mmap=16 --stream-count=150 --stream-to={1}/v{0} & ",
+        i, disk.string());
+  const double before = children_s();
+  const auto begin = std::chrono::steady_clock::now();
+  shell("( " + line + " wait )");
+  PeerTimes times;
+  times.s = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+  times.cpu_ms = 1000 * (children_s() - before) / (150 * cameras);
+  shell(fmt::format("rm {}/v*", disk.string()));
+  return times;
+}
+
+struct RigRun {
+  Json report;
+  SetTimes times;
+  int dropped = 0;
+  double cpu_ms = 0;    ///< a frame
+  double stood_ms = 0;  ///< the longest time for which the guest stood still meanwhile
+
+  bool whole() const {
+    const Json& sets = report["sets"];
+    return sets["complete"] == 300 && sets["incomplete"] == 0 && sets["dropped_queue_full"] == 0 &&
+           dropped == 0;
+  }
+  /// No set mixes two beats. (A camera that lost frames may go on at another one.)
+  bool on_beat() const {
+    return times.spread_ms < 33.4 &&
+           report["skew_ms"]["worst"].get<double>() < times.spread_ms + 2 * times.stray_ms;
+  }
+};
+
+RigRun record_300_sets(int cameras, const fs::path& folder) {
+  RigRun run;
+  const double before = children_s();
+  Witness witness;
+  const pid_t child = ::fork();
+  if (child == 0) {
+    CameraSourceOptions options = vivid_rig(cameras, 640, 360);
+    options.duration_s = 20;
+    CaptureOptions capture_options;
+    capture_options.sets = 300;
+    try {
+      capture(*open_cameras(options), folder, capture_options);
+    } catch (const std::exception& error) {
+      fmt::print("{}\n", error.what());
+      std::fflush(stdout);
+      ::_exit(1);
+    }
+    ::_exit(0);
+  }
+  int status = -1;
+  ::waitpid(child, &status, 0);
+  witness.stop();
+  REQUIRE(status == 0);
+  run.report = read_json(folder / "report.json");
+  int recorded = 0;
+  for (const Json& camera : run.report["cameras"]) {
+    recorded += camera["recorded"].get<int>();
+    run.dropped += camera["dropped"].get<int>();
+  }
+  run.cpu_ms = 1000 * (children_s() - before) / recorded;
+  const Recording recording = open_recording(folder);
+  run.times = set_times(recording, 1000.0 / 30);
+  std::int64_t first = INT64_MAX, last = 0;
+  for (const FrameSet& set : recording.sets)
+    for (const Frame& frame : set.frames)
+      if (frame.status == FrameStatus::ok) {
+        first = std::min<std::int64_t>(first, frame.timestamp_ns);
+        last = std::max<std::int64_t>(last, frame.timestamp_ns);
+      }
+  run.stood_ms = witness.worst_ms(first, last);
+  const Json& sets = run.report["sets"];
+  fmt::print(
+      "{} cameras: {} sets complete, {} incomplete, {} not taken, {} frames dropped; skew median {:.1f} ms, "
+      "worst {:.1f} ms, of the cameras' beats {:.1f} ms, stamps off by up to {:.1f} ms; processor {:.2f} ms "
+      "a "
+      "frame; the guest stood still for up to {:.1f} ms\n",
+      cameras, sets["complete"].get<int>(), sets["incomplete"].get<int>(),
+      sets["dropped_queue_full"].get<int>(), run.dropped, run.report["skew_ms"]["median"].get<double>(),
+      run.report["skew_ms"]["worst"].get<double>(), run.times.spread_ms, run.times.stray_ms, run.cpu_ms,
+      run.stood_ms);
+  return run;
+}
+
+// Frames of a guest that stands still are lost by its own drivers: such a recording shows nothing, and
+// another is made. A recording counts that has all that is asked, or that a guest made which kept time.
 TEST_CASE("vivid: 9 and 16 cameras for 10 s, against v4l2-ctl", "[rig]") {
   const TempFolder folder;
-  bool too_slow = false;
+  bool shown = true;
   for (const int count : {9, 16}) {
     CAPTURE(count);
     const fs::path disk = folder / "disk";
     fs::create_directory(disk);
     shell(fmt::format("mount -t tmpfs -o size=2600m big {}", disk.string()));
-    const auto cpu_s = [] {
-      rusage usage{};
-      ::getrusage(RUSAGE_CHILDREN, &usage);
-      return static_cast<double>(usage.ru_utime.tv_sec + usage.ru_stime.tv_sec) +
-             1e-6 * static_cast<double>(usage.ru_utime.tv_usec + usage.ru_stime.tv_usec);
-    };
-    // v4l2-ctl's own streaming to files, 150 frames a camera, tells whether this guest can do it at all.
-    std::string peer;
-    for (int i = 0; i < count; ++i)
-      peer += fmt::format(
-          "v4l2-ctl -d /dev/video{0} --set-fmt-video=width=640,height=360,pixelformat=YUYV -p 30; "
-          "v4l2-ctl -d /dev/video{0} --stream-mmap=16 --stream-count=150 --stream-to={1}/v{0} & ",
-          i, disk.string());
-    double before = cpu_s();
-    const auto begin = std::chrono::steady_clock::now();
-    shell("( " + peer + " wait )");
-    const double peer_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
-    const double peer_cpu_ms = 1000 * (cpu_s() - before) / (150 * count);
-    shell(fmt::format("rm {}/v*", disk.string()));
-    before = cpu_s();
-    const pid_t child = ::fork();
-    if (child == 0) {
-      CameraSourceOptions options = vivid_rig(count, 640, 360);
-      options.duration_s = 20;
-      CaptureOptions capture_options;
-      capture_options.sets = 300;
-      try {
-        capture(*open_cameras(options), disk / "rec", capture_options);
-      } catch (const std::exception& error) {
-        fmt::print("{}\n", error.what());
-        std::fflush(stdout);
-        ::_exit(1);
-      }
-      ::_exit(0);
+    const PeerTimes peer = stream_with_v4l2_ctl(count, disk);
+    fmt::print("{} cameras: v4l2-ctl {:.2f} ms a frame, in {:.1f} s for 5 s of frames\n", count, peer.cpu_ms,
+               peer.s);
+    bool done = false;
+    for (int i = 0; i < 4 && !done; ++i) {
+      const RigRun run = record_300_sets(count, disk / "rec");
+      fs::remove_all(disk / "rec");
+      done = (run.whole() && run.on_beat()) || run.stood_ms < Witness::kStoodStill;
+      CHECK(run.cpu_ms < 1.3 * peer.cpu_ms);  // with room for what else the machine does
+      if (!done) continue;
+      CHECK(run.whole());
+      CHECK(run.on_beat());
     }
-    int status = -1;
-    ::waitpid(child, &status, 0);
-    REQUIRE(status == 0);
-    const Json report = read_json(disk / "rec" / "report.json");
-    int recorded = 0, dropped = 0;
-    for (const Json& camera : report["cameras"]) {
-      recorded += camera["recorded"].get<int>();
-      dropped += camera["dropped"].get<int>();
-    }
-    const double cpu_ms = 1000 * (cpu_s() - before) / recorded;
-    const Recording recording = open_recording(disk / "rec");
-    const SetTimes times = set_times(recording, 1000.0 / 30);
-    fmt::print(
-        "{} cameras: {} sets complete, {} incomplete, {} not taken, {} frames dropped; skew median {:.1f} "
-        "ms, worst {:.1f} ms, of the cameras' beats {:.1f} ms, stamps off by up to {:.1f} ms; processor "
-        "{:.2f} ms a frame, v4l2-ctl {:.2f} ms in {:.1f} s for 5 s of frames\n",
-        count, report["sets"]["complete"].get<int>(), report["sets"]["incomplete"].get<int>(),
-        report["sets"]["dropped_queue_full"].get<int>(), dropped, report["skew_ms"]["median"].get<double>(),
-        report["skew_ms"]["worst"].get<double>(), times.spread_ms, times.stray_ms, cpu_ms, peer_cpu_ms,
-        peer_s);
-    for (const FrameSet& set : recording.sets)
-      if (!set.complete()) fmt::print("set {} is incomplete\n", set.name);
+    shown = shown && done;
     shell(fmt::format("umount {}", disk.string()));
     fs::remove(disk);
-    CHECK(cpu_ms < 1.3 * peer_cpu_ms);  // with room for what else the machine does
-    if (peer_s > 8) {
-      too_slow = true;
-      continue;
-    }
-    CHECK(report["sets"]["complete"] == 300);
-    CHECK(report["sets"]["incomplete"] == 0);
-    CHECK(report["sets"]["dropped_queue_full"] == 0);
-    CHECK(dropped == 0);
-    // No set mixes two beats. (A camera that lost frames may go on at another one.)
-    CHECK(times.spread_ms < 33.4);
-    CHECK(report["skew_ms"]["worst"].get<double>() < times.spread_ms + 2 * times.stray_ms);
   }
-  if (too_slow) STUV_SKIP("this machine is too slow or too busy: v4l2-ctl itself cannot keep up");
+  if (!shown) STUV_SKIP("this machine is too slow or too busy: its guest stands still while it records");
 }
 
 /// The recording FOLDER/rec, rectified with a rig of equal cameras side by side, to a picture: it has vivid's
