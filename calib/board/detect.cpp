@@ -5,11 +5,11 @@
 #include <limits>
 #include <opencv2/imgproc.hpp>
 
-#include "calib/board/corner_grid.h"
 #include "calib/board/detect_chessboard.h"
 #include "calib/board/detect_markers.h"
 #include "calib/board/pattern.h"
 #include "calib/board/refine.h"
+#include "calib/board/symmetric_corner.h"
 
 namespace stuv {
 namespace {
@@ -66,54 +66,6 @@ bool usable(const std::vector<Eigen::Vector2d>& corners, const Board& board) {
   return count >= kLeastCorners && extent.sizes().minCoeff() >= 1;
 }
 
-/// Radius of refine_corner's window at a corner of the view, from the corners near it.
-double radius_at(const std::vector<Eigen::Vector2d>& corners, const Board& board, int point) {
-  // Pixels per metre along both directions of the lattice, by the nearest corners in the same row and column.
-  const auto step = [&](int dx, int dy) -> Eigen::Vector2d {
-    for (int k = 1; k < std::max(board.columns, board.rows); ++k)
-      for (const int side : {k, -k}) {
-        const int x = point % board.columns + side * dx, y = point / board.columns + side * dy;
-        if (x < 0 || y < 0 || x >= board.columns || y >= board.rows) continue;
-        const Eigen::Vector2d& other = corners[static_cast<std::size_t>(y * board.columns + x)];
-        if (other.allFinite())
-          return (other - corners[static_cast<std::size_t>(point)]) / (side * board.square_m);
-      }
-    return Eigen::Vector2d::Zero();
-  };
-  const double clear_m = corner_clearance_m(board);
-  const Eigen::Vector2d a = clear_m * step(1, 0), b = clear_m * step(0, 1);
-  if (a.isZero() || b.isZero()) return 3;
-  return window_radius(a, b, board.kind == Board::Kind::chessboard ? kSquareShare : kClearanceShare);
-}
-
-cv::Rect around(const std::vector<Eigen::Vector2d>& corners) {
-  Eigen::AlignedBox2d box;
-  for (const Eigen::Vector2d& q : corners)
-    if (q.allFinite()) box.extend(q);
-  const Eigen::Vector2d size = box.sizes();
-  return {static_cast<int>(box.min().x()), static_cast<int>(box.min().y()), static_cast<int>(size.x()) + 1,
-          static_cast<int>(size.y()) + 1};
-}
-
-/// `grown`: of each corner, or empty.
-std::vector<double> deviations(const CornerImage& image, const std::vector<Eigen::Vector2d>& corners,
-                               const std::vector<bool>& grown, const Board& board) {
-  const double noise = picture_noise(image, around(corners));
-  std::vector<double> sigma(corners.size(), kNaN);
-  for (std::size_t i = 0; i < corners.size(); ++i) {
-    if (!corners[i].allFinite()) continue;
-    double radius = radius_at(corners, board, static_cast<int>(i));
-    auto covariance = corner_covariance(image, corners[i], radius, noise);
-    // At the picture's border only a smaller window has room.
-    for (; !covariance && radius > 1; radius /= 1.5)
-      covariance = corner_covariance(image, corners[i], radius, noise);
-    constexpr double kUnknownPx = 0.5;
-    const double random = covariance ? std::sqrt(0.5 * covariance->trace()) : kUnknownPx;
-    sigma[i] = std::hypot(!grown.empty() && grown[i] ? kGrownFloorPx : kCornerFloorPx, random);
-  }
-  return sigma;
-}
-
 }  // namespace
 
 int BoardView::seen() const {
@@ -124,18 +76,15 @@ int BoardView::seen() const {
 BoardView detect_board(const Image& picture, const Board& board) {
   const CornerImage image = corner_image(picture, board);
   BoardView view;
-  std::vector<bool> grown;
-  if (board.kind == Board::Kind::chessboard) {
-    Chessboard found = detect_chessboard(image, board);
-    view.corners_px = std::move(found.corners_px);
-    grown = std::move(found.grown);
-  } else {
-    view.corners_px = detect_markers(image, board);
-  }
-  for (Eigen::Vector2d& q : view.corners_px)
-    if (!inside(q, image)) q.setConstant(kNaN);
+  view.corners_px =
+      board.kind == Board::Kind::chessboard ? detect_chessboard(image, board) : detect_markers(image, board);
   if (!usable(view.corners_px, board)) return {};
-  view.sigma_px = deviations(image, view.corners_px, grown, board);
+  view.sigma_px = refine_all_by_symmetry(image.luma, board, view.corners_px);
+  for (std::size_t i = 0; i < view.corners_px.size(); ++i) {
+    if (!inside(view.corners_px[i], image)) view.corners_px[i].setConstant(kNaN);
+    view.sigma_px[i] = view.corners_px[i].allFinite() ? std::hypot(kCornerFloorPx, view.sigma_px[i]) : kNaN;
+  }
+  if (!usable(view.corners_px, board)) return {};
   return view;
 }
 

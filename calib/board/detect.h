@@ -10,7 +10,7 @@ namespace stuv {
 
 /// Counts up when detect_board may answer otherwise for the same picture: corners that were kept by an older
 /// version are looked for again.
-inline constexpr int kDetectorVersion = 5;
+inline constexpr int kDetectorVersion = 6;
 
 /// A board in one picture.
 struct BoardView {
@@ -27,16 +27,12 @@ struct BoardView {
 ///
 /// - chessboard (detect_chessboard.h): whole ones by OpenCV's findChessboardCornersSB; ones that leave the
 ///   picture or are partly covered as far as it is certain which part is seen.
-/// - charuco, aprilgrid (detect_markers.h): by their markers, any part; corners by refine_corner.
+/// - charuco, aprilgrid (detect_markers.h): by their markers, any part.
 ///
-/// sigma_px: sqrt(floor^2 + trace(C) / 2), C the corner_covariance for this picture's own noise
-/// (picture_noise), and floor = kCornerFloorPx for what lens, paper and pixel raster add, kGrownFloorPx where
-/// refine_corner's corners stand beside OpenCV's more accurate ones. So corners that are
-/// blurred, dark or seen at a slant count less. At least six corners that do not lie in a line, or none.
+/// All corners are then refined by symmetry (symmetric_corner.h); sigma_px is that of its residuals and
+/// kCornerFloorPx, for what lens, paper and pixel raster add. So corners that are blurred, dark, dirty or
+/// seen at a slant count less. At least six corners that do not lie in a line, or none.
 BoardView detect_board(const Image& picture, const Board& board);
 
-inline constexpr double kCornerFloorPx = 0.02;
-/// How far refine_corner and SB differ on array20's whole boards, rms.
-inline constexpr double kGrownFloorPx = 0.1;
-
+inline constexpr double kCornerFloorPx = 0.005;
 }  // namespace stuv

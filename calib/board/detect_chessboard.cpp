@@ -5,7 +5,6 @@
 #include <cmath>
 #include <limits>
 #include <opencv2/calib3d.hpp>
-#include <set>
 
 #include "calib/board/corner_grid.h"
 
@@ -209,30 +208,13 @@ std::vector<Eigen::Vector2d> lay_part(const CornerImage& image, CornerGrid grid,
   return ways.size() == 1 ? lay_out(grid, ways.front(), board) : std::vector<Eigen::Vector2d>{};
 }
 
-/// Which corners are not among those of `grid`.
-std::vector<bool> added_to(const CornerGrid& grid, const std::vector<Eigen::Vector2d>& corners) {
-  std::set<std::pair<double, double>> there;
-  for (const auto& [place, at] : grid) there.emplace(at.x(), at.y());
-  std::vector<bool> added;
-  for (const Eigen::Vector2d& q : corners) added.push_back(q.allFinite() && there.count({q.x(), q.y()}) == 0);
-  return added;
-}
-
 }  // namespace
 
-Chessboard detect_chessboard(const CornerImage& image, const Board& board) {
-  Chessboard found;
-  found.corners_px = find_whole(image, board);
-  CornerGrid grid;
-  if (found.corners_px.empty()) {
-    grid = find_grid(image, board);
-    found.corners_px = lay_part(image, grid, board);
-  }
-  if (found.corners_px.empty()) return found;
-  put_in_order(image, board, found.corners_px);
-  found.grown =
-      grid.empty() ? std::vector<bool>(found.corners_px.size(), false) : added_to(grid, found.corners_px);
-  return found;
+std::vector<Eigen::Vector2d> detect_chessboard(const CornerImage& image, const Board& board) {
+  std::vector<Eigen::Vector2d> corners = find_whole(image, board);
+  if (corners.empty()) corners = lay_part(image, find_grid(image, board), board);
+  if (!corners.empty()) put_in_order(image, board, corners);
+  return corners;
 }
 
 }  // namespace stuv

@@ -19,6 +19,9 @@ namespace {
 
 using Box = Eigen::AlignedBox2d;
 
+/// Radius of refine_corner's window in parts of the clearance around a corner.
+constexpr double kClearanceShare = 0.8;
+
 /// A marker as the detector found it; its corners run clockwise from one that depends on how it is turned.
 struct Found {
   int id = 0;

@@ -18,7 +18,4 @@ namespace stuv {
 /// If more than a tenth of the markers are not where the others say, it is another board, and none.
 std::vector<Eigen::Vector2d> detect_markers(const CornerImage& image, const Board& board);
 
-/// Radius of refine_corner's window in parts of the clearance around a corner (corner_clearance_m).
-inline constexpr double kClearanceShare = 0.8;
-
 }  // namespace stuv

@@ -27,10 +27,8 @@ FoundCorners find_corners(const Recording& recording, const Board& board, const 
 
 /// Weights of a view's corners for the solve: hypot(sigma_ref, f) / hypot(sigma, f), 0 where none was seen,
 /// with sigma_ref the median over all views, so that a usual corner weighs 1 and the noise of the solve is
-/// that of such a one; f = kSolveFloorPx for what lens model and board add to any corner. (Without f
-/// array20's solves fit worse, those of ten of its cameras to 1.057 times mrcal's rms, which weighs all
-/// corners alike; with it to 1.012.)
-inline constexpr double kSolveFloorPx = 0.05;  ///< rms of array20's residuals
+/// that of such a one; f = kSolveFloorPx for what lens model and board add to any corner.
+inline constexpr double kSolveFloorPx = 0.05;
 std::vector<double> corner_weights(const BoardView& view, double sigma_ref_px);
 double median_sigma_px(const FoundCorners& found);
 

@@ -183,7 +183,8 @@ void note_residuals(const Observations& in, const std::vector<int>& order, const
       out.worst_px = std::max(out.worst_px, r.norm());
     }
   }
-  out.rms_px = std::sqrt(sum_sq / (2.0 * out.inliers));
+  out.rms_px = std::sqrt(weighted_sum_sq / (2.0 * out.inliers));
+  out.rms_unweighted_px = std::sqrt(sum_sq / (2.0 * out.inliers));
   const double freedom = 2.0 * out.inliers - l.states;
   out.noise_px = freedom > 0 ? std::sqrt(weighted_sum_sq / freedom) : kNaN;
   out.sigma_px = out.noise_px;

@@ -35,9 +35,10 @@ struct JointSolution {
   std::vector<std::vector<Eigen::Vector2d>> residuals_px;
   std::vector<std::vector<bool>> outlier;  ///< [observation][corner], absent corners are none
   int inliers = 0, outliers = 0;           ///< corners
-  double rms_px = 0;                       ///< over x and y of the inliers
-  double worst_px = 0;                     ///< longest residual vector of an inlier
-  double noise_px = 0;                     ///< sqrt(sum w^2 x^2 / (measurements - states)): at weight 1
+  /// Over x and y of the inliers' residuals times their weights, as mrcal states it; and without the weights.
+  double rms_px = 0, rms_unweighted_px = 0;
+  double worst_px = 0;  ///< longest residual vector of an inlier
+  double noise_px = 0;  ///< sqrt(sum w^2 x^2 / (measurements - states)): at weight 1
   /// What stated sigmas take that noise for: noise_px, times SigmaScale::scale where that was measured.
   double sigma_px = 0;
   std::vector<double> camera_weight;  ///< of each camera's corners, on top of their own

@@ -114,6 +114,7 @@ Json report_json(const Calibration& c, double seconds, double seconds_corners) {
   const double corners = std::max(1, s.inliers + s.outliers);
   return {
       {"rms_px", number(s.rms_px)},
+      {"rms_unweighted_px", number(s.rms_unweighted_px)},
       {"worst_px", number(s.worst_px)},
       {"outlier_fraction", s.outliers / corners},
       {"cameras", cameras},

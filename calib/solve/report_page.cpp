@@ -175,7 +175,7 @@ void add_layout(Page& page, const Calibration& c) {
 /// Histogram of x and y residuals with the Gaussian of the same deviation.
 void add_histogram(Page& page, const Calibration& c) {
   constexpr int bins = 61;
-  const double range = std::max(1e-9, 5 * c.solution.rms_px);
+  const double range = std::max(1e-9, 5 * c.solution.rms_unweighted_px);
   std::array<double, bins> count = {};
   double total = 0;
   for (const auto& board : c.solution.residuals_px)
@@ -187,7 +187,7 @@ void add_histogram(Page& page, const Calibration& c) {
         }
   if (total == 0) return;
   const double bin = 2 * range / bins;
-  const double peak_gauss = total * bin / (c.solution.rms_px * std::sqrt(2 * M_PI));
+  const double peak_gauss = total * bin / (c.solution.rms_unweighted_px * std::sqrt(2 * M_PI));
   const double top = std::max(peak_gauss, *std::max_element(count.begin(), count.end()));
   page.add(
       "<h2>Residuals</h2><p>Histogram over x and y, -{0:.2f} to {0:.2f} px; line: the Gaussian of their "
@@ -198,7 +198,7 @@ void add_histogram(Page& page, const Calibration& c) {
              195 - 190 * count[i] / top, 190 * count[i] / top);
   page.add("<polyline fill='none' stroke='#c30' points='");
   for (int i = 0; i < bins; ++i) {
-    const double z = (-range + (i + 0.5) * bin) / c.solution.rms_px;
+    const double z = (-range + (i + 0.5) * bin) / c.solution.rms_unweighted_px;
     page.add("{:.1f},{:.1f} ", 10 * i + 4.5, 195 - 190 * peak_gauss * std::exp(-0.5 * z * z) / top);
   }
   page.add("'/></svg>\n");
@@ -222,7 +222,7 @@ void add_field(Page& page, const Calibration& c, int camera) {
     }
   }
   constexpr double step = 14;
-  const double per_px = step / std::max(1e-9, 2 * c.solution.rms_px);
+  const double per_px = step / std::max(1e-9, 2 * c.solution.rms_unweighted_px);
   page.add(
       "<svg viewBox='0 0 {0:.0f} {1:.0f}' width='{0:.0f}'><rect width='100%' height='100%' "
       "fill='#f4f4f4'/>",
@@ -282,7 +282,7 @@ void add_cameras(Page& page, const Calibration& c) {
       "<p>By camera, above: mean residual (observed minus predicted) in the cells of its picture, one cell "
       "is "
       "{:.2f} px long; blue: where boards were seen.",
-      2 * c.solution.rms_px);
+      2 * c.solution.rms_unweighted_px);
   if (c.map_distances_m.size() > 1) {
     page.add(
         " Below: uncertainty of the picture of a point {:.2f} m away, one sigma in the worst direction: ",

@@ -223,6 +223,25 @@ void judge_validation(const Calibration& c, const CalibrationOptions& options, T
   }
 }
 
+/// Single cameras: the lens of one that sees its boards at the picture's border only may be the one that does
+/// not fit.
+void note_lens_misfit(const Calibration& c, Texts& notes) {
+  constexpr double kWorthPx = 0.03, kClear = 3;
+  std::string names;
+  double worst = 0;
+  for (std::size_t i = 0; i < c.structure.cameras.size(); ++i) {
+    const auto& camera = c.structure.cameras[i];
+    if (!(camera.position_px > kWorthPx && camera.position_ratio > kClear)) continue;
+    names += (names.empty() ? "" : ", ") + c.observations.camera_names[i];
+    worst = std::max(worst, camera.position_px);
+  }
+  if (names.empty()) return;
+  notes.push_back(fmt::format(
+      "residuals depend on the place in the picture, up to {:.2f} px rms, in camera(s) {}: the lens "
+      "model does not fit there; try --lens opencv8 or splined",
+      worst, names));
+}
+
 void note_structure(const Calibration& c, Texts& notes) {
   constexpr double kWorthPx = 0.1, kClear = 3;
   const ResidualStructure& s = c.structure;
@@ -236,21 +255,17 @@ void note_structure(const Calibration& c, Texts& notes) {
         fmt::format("cameras see one board shifted against each other, {:.2f} px rms: frames of a set "
                     "that were not taken together and a board that moved are suspected; hold it still",
                     s.view_px));
-  if (s.position_px > kWorthPx && s.position_ratio > kClear)
-    notes.push_back(
-        fmt::format("residuals depend on the place in the picture, {:.2f} px rms: the lens model does "
-                    "not fit; try --lens opencv8 or splined",
-                    s.position_px));
+  note_lens_misfit(c, notes);
   std::vector<double> rms;
   for (const auto& set : s.sets) rms.push_back(set.rms_px);
   if (rms.size() < 3) return;
   std::nth_element(rms.begin(), rms.begin() + static_cast<long>(rms.size() / 2), rms.end());
   const double usual = rms[rms.size() / 2];
   for (const auto& set : s.sets)
-    if (set.rms_px > 2.5 * usual && set.rms_px > kWorthPx)
+    if (set.rms_px > 2.5 * usual && set.rms_px > 0.5 * kWorthPx)
       notes.push_back(
           fmt::format("the board of set {} fits worse than others, {:.2f} against {:.2f} px rms: it "
-                      "moved, or is blurred",
+                      "moved, or is blurred or overexposed; it weighed less",
                       c.observations.set_names[set.set], set.rms_px, usual));
 }
 

@@ -292,7 +292,7 @@ void fill(const std::vector<MovingFrame>& frames, const Camera& camera, const La
     c.solution.inliers += a.count[frame] / 2, c.solution.outliers += a.outliers[frame];
   }
   c.solution.converged = a.converged;
-  c.solution.rms_px = std::sqrt(sum_sq / count);
+  c.solution.rms_px = c.solution.rms_unweighted_px = std::sqrt(sum_sq / count);
   c.solution.worst_px = a.worst_px;
   note_uncertainty(lattice, a, rig, c.layout);
 }

@@ -286,7 +286,7 @@ Calibration calibrate_without_board(const SfmProblem& problem, const Recording& 
   const std::vector<PlacedCamera> placed = placed_cameras(s, recording, scale);
   c.layout = fit_layout(placed, recording.rows, recording.cols);
   c.solution.converged = s.converged;
-  c.solution.rms_px = s.rms_px;
+  c.solution.rms_px = c.solution.rms_unweighted_px = s.rms_px;
   c.solution.worst_px = s.worst_px;
   c.solution.noise_px = s.noise_px;
   c.solution.inliers = s.inliers;

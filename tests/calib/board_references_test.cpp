@@ -203,8 +203,8 @@ TEST_CASE(
   REQUIRE(ours.solution.converged);
   const double theirs = rms_with(ours, reference);
   std::printf("caliscope, its corners: ours %.3f px rms, reference %.3f, %d corners, %d outliers\n",
-              ours.solution.rms_px, theirs, ours.solution.inliers, ours.solution.outliers);
-  CHECK(ours.solution.rms_px <= theirs);
+              ours.solution.rms_unweighted_px, theirs, ours.solution.inliers, ours.solution.outliers);
+  CHECK(ours.solution.rms_unweighted_px <= theirs);
   const auto d = centre_differences(rig_cameras(ours), reference);
   for (std::size_t i = 0; i < d.size(); ++i)
     std::printf("  %s: centres differ by %.1f %.1f %.1f mm, sigma %.1f %.1f %.1f mm; f %.1f against %.1f\n",
@@ -256,8 +256,8 @@ TEST_CASE("caliscope-4cam: from four videos to a rig that fits better than the r
   REQUIRE(ours.solution.converged);
   const double theirs = rms_with(ours, caliscope_reference(folder / "camera_array.toml"));
   std::printf("caliscope, corners of stuv: ours %.3f px rms, reference %.3f, %d corners, %d outliers\n",
-              ours.solution.rms_px, theirs, ours.solution.inliers, ours.solution.outliers);
-  CHECK(ours.solution.rms_px <= theirs);
+              ours.solution.rms_unweighted_px, theirs, ours.solution.inliers, ours.solution.outliers);
+  CHECK(ours.solution.rms_unweighted_px <= theirs);
 }
 
 namespace {
@@ -298,7 +298,7 @@ TEST_CASE(
   const Calibration ours = calibrate(in, row_of(in.camera_names), options);
   REQUIRE(ours.solution.converged);
   std::printf("opencv-stereo: %zu of 26 boards, rms %.3f px, %d outliers, f %.2f %.2f px, baseline %.2f mm\n",
-              in.boards.size(), ours.solution.rms_px, ours.solution.outliers,
+              in.boards.size(), ours.solution.rms_unweighted_px, ours.solution.outliers,
               ours.rig.cameras[0].camera.intrinsics[0], ours.rig.cameras[1].camera.intrinsics[0],
               1e3 * (ours.rig.cameras[0].camera.cam_from_rig.centre() -
                      ours.rig.cameras[1].camera.cam_from_rig.centre())
@@ -329,9 +329,9 @@ TEST_CASE(
                                    {}};
   const double first = rms_with(mono, {left_reference}), second = rms_with(mono, {stereo_reference});
   std::printf("  left alone: ours %.3f px rms (f %.2f), left_intrinsics.yml %.3f, intrinsics.yml %.3f\n",
-              mono.solution.rms_px, mono.solution.cameras[0].intrinsics[0], first, second);
-  CHECK(mono.solution.rms_px <= first);
-  CHECK(mono.solution.rms_px <= second);
+              mono.solution.rms_unweighted_px, mono.solution.cameras[0].intrinsics[0], first, second);
+  CHECK(mono.solution.rms_unweighted_px <= first);
+  CHECK(mono.solution.rms_unweighted_px <= second);
   CHECK(std::abs(mono.solution.cameras[0].intrinsics[0] - left_reference.intrinsics[0]) < 5);
 }
 
@@ -385,8 +385,8 @@ TEST_CASE("mrcal-models: on the corners of 186 boards our solve is as good as mr
   std::printf(
       "mrcal-models: ours %.4f px rms of %d corners; mrcal's cameras on the same %.4f; mrcal's own %.4f of "
       "%d\n",
-      ours.solution.rms_px, ours.solution.inliers, theirs, reference_rms, reference_corners);
-  CHECK(ours.solution.rms_px <= 1.005 * theirs);
+      ours.solution.rms_unweighted_px, ours.solution.inliers, theirs, reference_rms, reference_corners);
+  CHECK(ours.solution.rms_unweighted_px <= 1.005 * theirs);
   CHECK(ours.solution.outliers < 0.05 * ours.solution.inliers);
   const auto& f = ours.solution.cameras[0].intrinsics;
   for (int k = 0; k < 2; ++k) {

@@ -299,6 +299,42 @@ TEST_CASE("boards that are tiny and far away do not determine the cameras") {
   for (const RigCamera& camera : c.rig.cameras) CHECK_FALSE(camera.determined);
 }
 
+TEST_CASE("a set whose corners are noisier than their own sigmas know weighs less, and its corners stay") {
+  Scene scene = make_scene(3, 3, 8, {}, 0.05);
+  std::mt19937_64 random(5);
+  std::normal_distribution<double> noise(0, 0.3);
+  for (BoardObservation& b : scene.observations.boards)
+    if (b.set == 2)
+      for (Eigen::Vector2d& q : b.corners_px) q += Eigen::Vector2d(noise(random), noise(random));
+  const auto solve = [&](bool reweight) {
+    CalibrationOptions options;
+    options.solve.reweight = reweight;
+    return calibrate(scene.observations, scene.recording, options);
+  };
+  const auto rms_error = [&](const Calibration& c) {
+    double sum = 0;
+    for (const Eigen::Vector3d& e : aligned_errors(c.rig, scene.truth)) sum += e.squaredNorm();
+    return std::sqrt(sum / static_cast<double>(scene.truth.size()));
+  };
+  const Calibration alike = solve(false), weighed = solve(true);
+  std::printf("noisy set weighed alike: centres %.3f mm, %d outliers; less: %.3f mm, %d\n",
+              1e3 * rms_error(alike), alike.solution.outliers, 1e3 * rms_error(weighed),
+              weighed.solution.outliers);
+  CHECK(rms_error(weighed) < 0.9 * rms_error(alike));
+  CHECK(weighed.solution.outliers < alike.solution.outliers / 4);
+  CHECK(weighed.solution.noise_px == Approx(0.05).epsilon(0.2));
+  CHECK(weighed.solution.rms_px < 0.06);
+  CHECK(weighed.solution.rms_unweighted_px > 0.09);
+  std::string notes;
+  for (const std::string& note : weighed.notes) notes += note;
+  CHECK_THAT(notes,
+             Contains("the board of set " + scene.observations.set_names[2]) && Contains("weighed less"));
+  // Of equal sets none is singled out.
+  const Scene equal = make_scene(3, 3, 8, {}, 0.05);
+  const Calibration c = calibrate(equal.observations, equal.recording, {});
+  CHECK(c.solution.rms_px == Approx(c.solution.rms_unweighted_px).epsilon(1e-9));
+}
+
 TEST_CASE("outliers are found and do no harm") {
   Scene scene = make_scene(3, 3, 8, {}, 0.05);
   for (std::size_t i = 0; i < scene.observations.boards.size(); i += 6)
