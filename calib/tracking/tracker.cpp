@@ -52,7 +52,7 @@ constexpr double kAlike = 0.45, kVeryAlike = 0.95, kSurePart = 0.5;
 /// Points of a taught view for direct alignment, and those that suffice to weigh a particle.
 constexpr int kSurfacePoints = 1200, kFewPoints = 160;
 /// How far alignment may lead from where it starts, as movement of the outline (standard deviation).
-constexpr double kSpread_px = 12;
+constexpr double kSpread_px = 30;
 /// Places that are aligned while tracking, and at a start; places this near are the same.
 constexpr int kFollowed = 3, kStarted = 12;
 constexpr double kSamePlace_px = 5;
@@ -60,7 +60,7 @@ constexpr double kSamePlace_px = 5;
 constexpr double kSecondView = 0.64;
 /// Independent pixels that brightness counts as in the likelihood of a particle, before and after refinement,
 /// and the part of the variance that is never explained.
-constexpr double kGlancedAt = 6, kLookedAt = 20, kLeastMisfit = 0.03;
+constexpr double kGlancedAt = 6, kLookedAt = 20, kLeastMisfit = 0.1;
 /// Differences of likeness that say nothing.
 constexpr double kNoDifference = 0.02;
 /// A refinement that makes the object this much less like its view is not taken.
@@ -68,7 +68,7 @@ constexpr double kWorse = 0.05;
 /// Likeness from which alignment's answer is used.
 constexpr double kLikeEnough = 0.6;
 /// Brightness that the taught views explain less of is not the object's.
-constexpr double kLeastFit = 0.6;
+constexpr double kLeastFit = 0.6, kPlainFit = 0.9;
 /// Print that is this like the taught one is the object; this unlike, it is not.
 constexpr double kSamePrint = 0.9, kOtherPrint = 0.3;
 /// How far the distance of a start may be from the taught one, as a factor.
@@ -592,18 +592,30 @@ struct Tracker::State {
     if (f.edges.visible < 6) return true;
     if (f.print > kSamePrint) return false;
     if (f.print < kOtherPrint) return true;
-    if (f.fit < kLeastFit) return true;
-    // A start comes from a taught view, which must then be there to compare with.
-    const bool must_compare = f.initialised && !views.empty();
+    // Plain faces are told by little else than that the background's pattern is not on them.
+    const bool is_plain = std::isnan(f.print);
+    if (f.fit < (is_plain ? kPlainFit : kLeastFit)) return true;
+    // A start comes from a taught view, which must then be there to compare with; but not far from where it
+    // was last seen a plain face that fits is the same object still.
+    const bool goes_on = is_plain && f.fit > kPlainFit && is_near_last();
+    const bool must_compare = f.initialised && !views.empty() && !goes_on;
     const double alike = std::isnan(f.likeness) ? f.correlation : f.likeness;
     if (alike < options.lost_correlation || (must_compare && std::isnan(alike))) return true;
-    if (must_compare && !has_taught_size(norm.into(f.cam_from_object))) return true;
+    if (must_compare && !has_taught_size(estimate)) return true;
     // An object that looks as taught may have edges that are faint or hidden.
     const double matched = static_cast<double>(f.edges.matched) / f.edges.visible;
     const bool looks_right = (alike > kAlike && f.texture_points >= kLeastCorners) ||
                              (alike > kVeryAlike && (!must_compare || matched >= kSurePart));
     if (must_compare && !looks_right) return true;
-    return matched < (looks_right ? 0.5 : 1) * options.lost_part;
+    if (looks_right) return matched < 0.5 * options.lost_part;
+    // One plain face, without contrast to compare.
+    const bool fits = is_plain && f.fit > kVeryAlike && !(alike < kPlainFit);
+    return matched < (fits ? (f.initialised ? kSurePart : 0.75 * options.lost_part) : options.lost_part);
+  }
+
+  bool is_near_last() const {
+    return !good_particles.empty() && frames_lost < kKeptFrames &&
+           distance_px(good_estimate, estimate, lens.focal_px()) < options.search_px * (1 + frames_lost);
   }
 
   // --- one frame -------------------------------------------------------------------------------------------
@@ -653,7 +665,11 @@ struct Tracker::State {
   std::vector<Particle> scattered_particles() {
     if (frames_lost >= kKeptFrames) return {};
     std::vector<Particle> kept = good_particles;
-    for (Particle& p : kept) p.pose = p.pose * exp(noise_at(p.pose, options.noise_px * (2 + frames_lost)));
+    const double most_px = options.noise_px * (2 + frames_lost);
+    // Most losses are short slips: some stay near.
+    for (std::size_t i = 0; i < kept.size(); ++i)
+      kept[i].pose =
+          i == 0 ? good_estimate : kept[i].pose * exp(noise_at(kept[i].pose, most_px / double(1 << (i % 3))));
     return kept;
   }
 
@@ -803,13 +819,6 @@ struct Tracker::State {
     out.deviation_px = r.deviation_px;
     out.covariance = norm.covariance_back(covariance_of(r));
     out.cam_from_object = norm.back(estimate);
-    // Not far from where it was last seen it is the same object still, whatever says so.
-    if (out.initialised && !good_particles.empty() && frames_lost < kKeptFrames &&
-        distance_px(good_estimate, estimate, lens.focal_px()) < options.search_px * (1 + frames_lost)) {
-      TrackedFrame again = out;
-      again.initialised = false;
-      return void(lost = out.lost = is_lost(again));
-    }
     lost = out.lost = is_lost(out) || (was_tracked && distance_px(last, estimate, lens.focal_px()) >
                                                           kMostJump * options.search_px);
   }
