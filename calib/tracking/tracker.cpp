@@ -61,10 +61,12 @@ constexpr double kSecondView = 0.64;
 /// Independent pixels that brightness counts as in the likelihood of a particle, before and after refinement,
 /// and the part of the variance that is never explained.
 constexpr double kGlancedAt = 6, kLookedAt = 20, kLeastMisfit = 0.1;
+/// Part of the edges that must be found for them to be believed against the likeness.
+constexpr double kClear = 0.9;
 /// Differences of likeness that say nothing.
 constexpr double kNoDifference = 0.02;
 /// A refinement that makes the object this much less like its view is not taken.
-constexpr double kWorse = 0.05;
+constexpr double kWorse = 0.08;
 /// Likeness from which alignment's answer is used.
 constexpr double kLikeEnough = 0.6;
 /// Brightness that the taught views explain less of is not the object's.
@@ -286,6 +288,9 @@ struct Tracker::State {
     return -HypothesisOptions{}.lambda_c * (1 - inliers / static_cast<double>(texture_points.size()));
   }
 
+  /// Where nearly all edges are found no clutter is among them.
+  static bool are_clear(const MatchSummary& edges) { return edges.matched >= kClear * edges.visible; }
+
   void refine_one(const GradientPicture& gradient, const Pose& pose, Measured& m) const {
     RefineOptions how;
     how.iterations = options.refine_iterations;
@@ -299,7 +304,7 @@ struct Tracker::State {
     if (!options.reweigh) return void(m.log_weight = weight);
     measure(gradient, m.refined, near_px, kLookedAt, m);
     // Clutter's edges may lead away from a place that looks right: then only near ones, or none.
-    if (m.looks >= looked - kWorse) return;
+    if (m.looks >= looked - kWorse || are_clear(summarise(m.samples))) return;
     measure(gradient, pose, near_px, kLookedAt, m);
     const Measured unmoved = m;
     refine_from(pose);
@@ -551,7 +556,10 @@ struct Tracker::State {
       r = refine(samples, points, lens, pose, how, by_looks);
       // Clutter's edges may lead away from a place that looks right.
       const double looks_now = looks(r.cam_from_object, 1);
-      if (looks_now < looked - kWorse) r.cam_from_object = pose;
+      samples = sample_edges(model, lens, r.cam_from_object, options.spacing_px / 2, kSlack);
+      match_edges(gradient, options.lost_px, options.least_cosine, samples);
+      const MatchSummary edges = summarise(samples);
+      if (looks_now < looked - kWorse && !are_clear(edges)) r.cam_from_object = pose;
       looked = std::max(looked, looks_now);
       pose = r.cam_from_object;
     }
