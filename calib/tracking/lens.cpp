@@ -32,6 +32,9 @@ Lens::Lens(const Camera& camera) : camera_(camera), width_(camera.width), height
   validate(camera, camera.name);
   focal_px_ = std::sqrt(std::abs(camera.intrinsics[0] * camera.intrinsics[1]));
   pinhole_ = camera.lens_model == "LENSMODEL_PINHOLE";
+  const auto mrcal = std::make_shared<mrcal_lensmodel_t>();
+  mrcal_lensmodel_from_name(mrcal.get(), camera_.lens_model.c_str());
+  mrcal_ = mrcal;
   most_tan2_ = pinhole_ ? std::numeric_limits<double>::infinity() : widest_tan2(camera) * 16 / 9;
 }
 
@@ -44,13 +47,11 @@ bool Lens::project(const Eigen::Vector3d& x, Eigen::Vector2d& q,
     if (derivative != nullptr) *derivative << fx, 0, -fx * x.x() / x.z(), 0, fy, -fy * x.y() / x.z();
     return q.allFinite();
   }
-  mrcal_lensmodel_t lens;
-  mrcal_lensmodel_from_name(&lens, camera_.lens_model.c_str());
   mrcal_point2_t pixel;
   mrcal_point3_t gradient[2];
   const mrcal_point3_t point = {{x.x(), x.y(), x.z()}};
-  if (!mrcal_project(&pixel, derivative != nullptr ? gradient : nullptr, nullptr, &point, 1, &lens,
-                     camera_.intrinsics.data()))
+  if (!mrcal_project(&pixel, derivative != nullptr ? gradient : nullptr, nullptr, &point, 1,
+                     static_cast<const mrcal_lensmodel_t*>(mrcal_.get()), camera_.intrinsics.data()))
     return false;
   q = {pixel.x, pixel.y};
   if (derivative != nullptr)

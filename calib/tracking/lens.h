@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Dense>
+#include <memory>
 
 #include "core/camera.h"
 
@@ -32,6 +33,7 @@ class Lens {
   int width_, height_;
   double focal_px_, most_tan2_;
   bool pinhole_;
+  std::shared_ptr<const void> mrcal_;  ///< mrcal's own form of the lens model, read once
 };
 
 }  // namespace stuv::tracking

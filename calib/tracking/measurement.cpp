@@ -124,14 +124,16 @@ double log_likelihood(const MatchSummary& m, double range_px, const LikelihoodOp
 }
 
 Refined refine(const std::vector<EdgeSample>& samples, const std::vector<PointMatch>& points,
-               const Lens& lens, const Pose& cam_from_object, const RefineOptions& options) {
+               const Lens& lens, const Pose& cam_from_object, const RefineOptions& options,
+               const PosePrior& prior) {
+  const bool has_prior = !prior.information.isZero();
   Refined out;
   out.cam_from_object = cam_from_object;
   std::vector<Residual> residuals;
   for (int step = 0; step <= options.iterations; ++step) {
     collect(samples, points, lens, out.cam_from_object, residuals);
     out.residuals = static_cast<int>(residuals.size());
-    if (residuals.size() < 3) return out;
+    if (residuals.size() < 3 && !has_prior) return out;
     double edges_px = 0, points_px = 0;
     if (step == options.iterations || options.weights == RefineOptions::Weights::tukey) {
       edges_px = robust_deviation(residuals, false);
@@ -144,6 +146,10 @@ Refined refine(const std::vector<EdgeSample>& samples, const std::vector<PointMa
       const double w = r.weight * weight_of(r.e, r.of_point ? points_px : edges_px, options);
       JtJ.noalias() += w * r.J.transpose() * r.J;
       Jte.noalias() += w * r.e * r.J.transpose();
+    }
+    if (has_prior) {
+      JtJ += prior.information;
+      Jte += prior.information * log(out.cam_from_object.inverse() * prior.cam_from_object);
     }
     out.information = JtJ;
     if (step == options.iterations) break;

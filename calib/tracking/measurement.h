@@ -57,6 +57,13 @@ struct RefineOptions {
   int iterations = 4;
 };
 
+/// What is known of the pose besides edges and points: mu of X exp(mu), X = `cam_from_object`, has this
+/// information, in units of an edge's [1/px^2]. All 0: nothing.
+struct PosePrior {
+  Pose cam_from_object;
+  Matrix6 information = Matrix6::Zero();
+};
+
 struct Refined {
   Pose cam_from_object;
   Matrix6 information = Matrix6::Zero();  ///< J^T W J, weights at most 1 [1/px^2]
@@ -71,6 +78,7 @@ struct Refined {
 /// damping of 1e-6 of the largest diagonal element). Units of the twist: those of the pose. With fewer than 3
 /// residuals the pose is returned as it was.
 Refined refine(const std::vector<EdgeSample>& samples, const std::vector<PointMatch>& points,
-               const Lens& lens, const Pose& cam_from_object, const RefineOptions& options);
+               const Lens& lens, const Pose& cam_from_object, const RefineOptions& options,
+               const PosePrior& prior = {});
 
 }  // namespace stuv::tracking

@@ -13,6 +13,7 @@
 #include <random>
 #include <set>
 
+#include "calib/tracking/surface_view.h"
 #include "calib/tracking/texture.h"
 #include "calib/tracking/view_search.h"
 #include "core/error.h"
@@ -47,7 +48,33 @@ constexpr double kMostJump = 5;
 constexpr double kComparable = 0.906;
 /// A start is believed where the taught view's corners are found and the correlation is this, or, of objects
 /// without corners, where it is higher and this part of the edge samples matches.
-constexpr double kAlike = 0.45, kVeryAlike = 0.7, kSurePart = 0.7;
+constexpr double kAlike = 0.45, kVeryAlike = 0.95, kSurePart = 0.5;
+/// Points of a taught view for direct alignment, and those that suffice to weigh a particle.
+constexpr int kSurfacePoints = 1200, kFewPoints = 160;
+/// How far alignment may lead from where it starts, as movement of the outline (standard deviation).
+constexpr double kSpread_px = 30;
+/// Places that are aligned while tracking, and at a start; places this near are the same.
+constexpr int kFollowed = 3, kStarted = 12;
+constexpr double kSamePlace_px = 5;
+/// Cosine between viewing directions up to which a second view is compared with (50 degrees).
+constexpr double kSecondView = 0.64;
+/// Independent pixels that brightness counts as in the likelihood of a particle, before and after refinement,
+/// and the part of the variance that is never explained.
+constexpr double kGlancedAt = 6, kLookedAt = 20, kLeastMisfit = 0.1;
+/// Part of the edges that must be found for them to be believed against the likeness.
+constexpr double kClear = 0.9;
+/// Differences of likeness that say nothing.
+constexpr double kNoDifference = 0.02;
+/// A refinement that makes the object this much less like its view is not taken.
+constexpr double kWorse = 0.08;
+/// Likeness from which alignment's answer is used.
+constexpr double kLikeEnough = 0.6;
+/// Brightness that the taught views explain less of is not the object's.
+constexpr double kLeastFit = 0.6, kPlainFit = 0.9;
+/// Print that is this like the taught one is the object; this unlike, it is not.
+constexpr double kSamePrint = 0.9, kOtherPrint = 0.3;
+/// How far the distance of a start may be from the taught one, as a factor.
+constexpr double kMostScale = 1.6;
 /// Frames after a loss during which the old states are kept among the particles.
 constexpr int kKeptFrames = 15;
 
@@ -113,7 +140,7 @@ double distance_px(const Pose& a, const Pose& b, double focal_px) {
 
 struct Measured {
   std::vector<EdgeSample> samples;
-  double log_weight = 0;
+  double log_weight = 0, looks = 0;
   Pose refined;
 };
 
@@ -132,9 +159,11 @@ struct Tracker::State {
     options.texture = options.texture && options.polish;
     if (!options.texture || keyframes.empty()) return;
     rays = rays_of(camera);
-    for (const Keyframe& k : keyframes)
+    for (const Keyframe& k : keyframes) {
       views.push_back(
           {k.picture, k.cam_from_object, render_depth(model, lens, rays, k.cam_from_object, kSlack)});
+      surfaces.push_back(surface_view(views.back(), model, rays, kSurfacePoints));
+    }
   }
 
   std::vector<Keyframe> normalised_keyframes(std::vector<Keyframe> taught) const {
@@ -233,11 +262,19 @@ struct Tracker::State {
 
   // --- likelihood and refinement ------------------------------------------------------------------------
 
-  void measure(const GradientPicture& gradient, const Pose& pose, double range, Measured& out) const {
+  /// Likelihood of a fit of brightness (surface_view.h): residuals of `count` independent pixels whose
+  /// unknown variance is that of the residuals, -count / 2 log(1 - fit).
+  static double log_looks(double fit, double count) {
+    return -0.5 * count * std::log(kLeastMisfit + 1 - std::clamp(fit, 0.0, 1.0));
+  }
+
+  void measure(const GradientPicture& gradient, const Pose& pose, double range, double pixels,
+               Measured& out) const {
     out.samples = sample_edges(model, lens, pose, options.spacing_px, kSlack);
     match_edges(gradient, range, options.least_cosine, out.samples);
-    out.log_weight =
-        log_likelihood(summarise(out.samples), range, options.likelihood) + texture_likelihood(pose);
+    out.looks = looks(pose, 1);
+    out.log_weight = log_likelihood(summarise(out.samples), range, options.likelihood) +
+                     texture_likelihood(pose) + log_looks(out.looks, pixels);
   }
 
   /// Equation 5 for the texture's points: -lambda_c (c - c_i) / c.
@@ -251,24 +288,39 @@ struct Tracker::State {
     return -HypothesisOptions{}.lambda_c * (1 - inliers / static_cast<double>(texture_points.size()));
   }
 
+  /// Where nearly all edges are found no clutter is among them.
+  static bool are_clear(const MatchSummary& edges) { return edges.matched >= kClear * edges.visible; }
+
   void refine_one(const GradientPicture& gradient, const Pose& pose, Measured& m) const {
     RefineOptions how;
     how.iterations = options.refine_iterations;
-    m.refined = refine(m.samples, texture_points, lens, pose, how).cam_from_object;
-    const double near_px = std::max(3.0, options.search_px / 4), weight = m.log_weight;
-    measure(gradient, m.refined, near_px, m);
-    m.refined = refine(m.samples, texture_points, lens, m.refined, how).cam_from_object;
-    if (options.reweigh)
-      measure(gradient, m.refined, near_px, m);
-    else
-      m.log_weight = weight;
+    const auto refine_from = [&](const Pose& from) {
+      m.refined = refine(m.samples, texture_points, lens, from, how).cam_from_object;
+    };
+    const double near_px = std::max(3.0, options.search_px / 4), weight = m.log_weight, looked = m.looks;
+    refine_from(pose);
+    measure(gradient, m.refined, near_px, kLookedAt, m);
+    refine_from(m.refined);
+    if (!options.reweigh) return void(m.log_weight = weight);
+    measure(gradient, m.refined, near_px, kLookedAt, m);
+    // Clutter's edges may lead away from a place that looks right: then only near ones, or none.
+    if (m.looks >= looked - kWorse || are_clear(summarise(m.samples))) return;
+    measure(gradient, pose, near_px, kLookedAt, m);
+    const Measured unmoved = m;
+    refine_from(pose);
+    measure(gradient, m.refined, near_px, kLookedAt, m);
+    if (m.log_weight >= unmoved.log_weight) return;
+    m = unmoved;
+    m.refined = pose;
   }
 
   /// Weights (7, 8), refinement (9, 10) of the particles that matter, weights again.
   void weigh_particles(const GradientPicture& gradient) {
     std::vector<Measured> measured(particles.size());
     const int count = static_cast<int>(particles.size());
-    parallel_for(count, [&](int i) { measure(gradient, particles[i].pose, options.search_px, measured[i]); });
+    parallel_for(count, [&](int i) {
+      measure(gradient, particles[i].pose, options.search_px, kGlancedAt, measured[i]);
+    });
     double best = -std::numeric_limits<double>::infinity();
     for (const Measured& m : measured) best = std::max(best, m.log_weight);
     parallel_for(count, [&](int i) {
@@ -371,7 +423,118 @@ struct Tracker::State {
     return r.cam_from_object;
   }
 
+  // --- looks ----------------------------------------------------------------------------------------------
+
+  /// The taught views to compare with at a pose: the nearest two.
+  std::vector<const SurfaceView*> surfaces_near(const Pose& pose) const {
+    const TexturedView* nearest = nearest_view(pose);
+    if (nearest == nullptr) return {};
+    std::vector<const SurfaceView*> near = {&surfaces[nearest - views.data()]};
+    const SurfaceView* second = nullptr;
+    double most = kSecondView;
+    for (const SurfaceView& s : surfaces) {
+      const double cosine = s.cam_from_object.centre().normalized().dot(pose.centre().normalized());
+      if (&s != near[0] && cosine > most) most = cosine, second = &s;
+    }
+    if (second != nullptr) near.push_back(second);
+    return near;
+  }
+
+  std::vector<const SurfaceView*> surfaces_for(const Pose& pose) const {
+    return surfaces_now.empty() ? surfaces_near(pose) : surfaces_now;
+  }
+
+  /// Mean over the views that can be compared; NaN: none can.
+  Likeness likeness_at(const Pose& pose, int level, int points) const {
+    Likeness sum;
+    int fits = 0, wholes = 0, prints = 0;
+    const std::vector<const SurfaceView*> near = surfaces_for(pose);
+    for (const SurfaceView* s : near) {
+      const Likeness l = likeness(*s, pyramid, level, lens, pose, points / static_cast<int>(near.size()));
+      if (!std::isnan(l.fit)) sum.fit += l.fit, ++fits;
+      if (!std::isnan(l.whole)) sum.whole += l.whole, ++wholes;
+      if (!std::isnan(l.print)) sum.print += l.print, ++prints;
+    }
+    return {sum.fit / fits, sum.whole / wholes, sum.print / prints};
+  }
+
+  /// Likeness to the taught views by a few points, 0 where it is not known.
+  double looks(const Pose& pose, int level) const {
+    if (surfaces.empty()) return 0;
+    const double fit = likeness_at(pose, level, kFewPoints).fit;
+    return std::isnan(fit) ? 0 : fit;
+  }
+
+  Alignment aligned(const Pose& pose, int from) const {
+    const std::vector<const SurfaceView*> near = surfaces_for(pose);
+    if (near.empty()) return {};
+    return align(near, pyramid, from, lens, pose, one_pixel(pose.t.z(), lens.focal_px()) * kSpread_px);
+  }
+
+  struct Place {
+    Pose pose;
+    double looks = 0;
+  };
+
+  /// The places that look most like a taught view, aligned with it, most alike first.
+  std::vector<Place> best_places(const std::vector<Pose>& poses, int most) const {
+    std::vector<Place> places(poses.size());
+    parallel_for(static_cast<int>(poses.size()), [&](int i) {
+      places[i] = {poses[i], poses[i].t.z() > 1 ? looks(poses[i], 2) : 0};
+    });
+    // Smaller differences say nothing; then the places given first are the better ones.
+    const auto more_alike = [](const Place& a, const Place& b) {
+      return std::floor(a.looks / kNoDifference) > std::floor(b.looks / kNoDifference);
+    };
+    std::stable_sort(places.begin(), places.end(), more_alike);
+    std::vector<Place> chosen;
+    for (const Place& p : places) {
+      if (static_cast<int>(chosen.size()) == most || !(p.looks > 0)) break;
+      if (std::none_of(chosen.begin(), chosen.end(), [&](const Place& c) {
+            return distance_px(c.pose, p.pose, lens.focal_px()) < kSamePlace_px;
+          }))
+        chosen.push_back(p);
+    }
+    parallel_for(static_cast<int>(chosen.size()), [&](int i) {
+      Place& place = chosen[i];
+      place.looks = looks(place.pose, 1);
+      const Alignment better = aligned(place.pose, 2);
+      const double looks_then = better.converged ? looks(better.cam_from_object, 1) : 0;
+      if (looks_then > place.looks + kNoDifference) place = {better.cam_from_object, looks_then};
+    });
+    std::stable_sort(chosen.begin(), chosen.end(), more_alike);
+    return chosen;
+  }
+
+  /// Particles around places, as many of each as they are alike.
+  std::vector<Particle> particles_around(const std::vector<Place>& places, int count) {
+    std::vector<Particle> candidates;
+    for (const Place& place : places) {
+      Particle p;
+      p.pose = place.pose;
+      p.log_weight = log_looks(place.looks, kLookedAt);
+      candidates.push_back(p);
+    }
+    std::vector<Particle> out = resample(candidates, normalised_weights(candidates), count, 0.5);
+    for (std::size_t i = 0; i < out.size(); ++i)
+      if (i > 0 && distance_px(out[i].pose, out[i - 1].pose, lens.focal_px()) < 1e-3)
+        out[i].pose = out[i].pose * exp(noise_at(out[i].pose, 1));
+    return out;
+  }
+
   // --- the estimate ----------------------------------------------------------------------------------------
+
+  /// What brightness says of the pose.
+  PosePrior prior_by_looks(const Pose& pose, const MatchSummary& edges) const {
+    const Alignment better = aligned(pose, 1);
+    // Plain faces pull the pose inwards, away from the background, and nothing pulls it out.
+    if (!better.converged || !(likeness_at(better.cam_from_object, 1, kSurfacePoints).print > kLikeEnough))
+      return {};
+    // Where most edges are found they are right, and tell the pose better; else many of them are clutter's.
+    const double missing = std::min(2.0, double(edges.visible - edges.matched) / std::max(1, edges.matched));
+    return {better.cam_from_object,
+            missing * kPointWeight * kModelError_px * kModelError_px * better.information};
+  }
 
   Refined polish(const GradientPicture& gradient, const Grey& frame, Pose pose, TrackedFrame& out) const {
     RefineOptions how;
@@ -380,18 +543,34 @@ struct Tracker::State {
     if (!options.polish) how.iterations = 0;
     Refined r;
     std::vector<PointMatch> points;
+    PosePrior by_looks;
+    double looked = looks(pose, 1);
     for (const double range : {6.0, 3.0, 3.0}) {
       std::vector<EdgeSample> samples = sample_edges(model, lens, pose, options.spacing_px / 2, kSlack);
       match_edges(gradient, range, options.least_cosine, samples);
       // Matches stay true as the pose moves on: they are places in the picture and on the object.
       if (options.texture && range < 6 && points.empty()) points = texture_matches(frame, pose);
+      if (options.texture && range == 6) by_looks = prior_by_looks(pose, summarise(samples));
       for (PointMatch& p : points) p.weight = kPointWeight;
       how.c_px = range / 2;
-      r = refine(samples, points, lens, pose, how);
+      r = refine(samples, points, lens, pose, how, by_looks);
+      // Clutter's edges may lead away from a place that looks right.
+      const double looks_now = looks(r.cam_from_object, 1);
+      samples = sample_edges(model, lens, r.cam_from_object, options.spacing_px / 2, kSlack);
+      match_edges(gradient, options.lost_px, options.least_cosine, samples);
+      const MatchSummary edges = summarise(samples);
+      if (looks_now < looked - kWorse && !are_clear(edges)) r.cam_from_object = pose;
+      looked = std::max(looked, looks_now);
       pose = r.cam_from_object;
     }
     out.texture_points = static_cast<int>(points.size());
     out.correlation = correlation_at(frame, pose);
+    if (!surfaces.empty()) {
+      const Likeness l = likeness_at(pose, 1, kSurfacePoints);
+      out.print = l.print;
+      out.fit = l.fit;
+      out.likeness = l.whole;
+    }
     std::vector<EdgeSample> samples = sample_edges(model, lens, pose, options.spacing_px / 2, kSlack);
     match_edges(gradient, options.lost_px, options.least_cosine, samples);
     out.edges = summarise(samples);
@@ -409,17 +588,42 @@ struct Tracker::State {
     return information.inverse();
   }
 
+  /// A plain object that looks alike much nearer or farther than it was taught is something else more often.
+  bool has_taught_size(const Pose& pose) const {
+    const TexturedView* view = nearest_view(pose);
+    if (view == nullptr) return true;
+    const double part = pose.t.norm() / view->cam_from_object.t.norm();
+    return part > 1 / kMostScale && part < kMostScale;
+  }
+
   bool is_lost(const TrackedFrame& f) const {
     if (f.edges.visible < 6) return true;
-    // A start comes from keypoints of a taught view, which must then be there to compare with.
-    const bool must_compare = f.initialised && !views.empty();
-    if (f.correlation < options.lost_correlation || (must_compare && std::isnan(f.correlation))) return true;
+    if (f.print > kSamePrint) return false;
+    if (f.print < kOtherPrint) return true;
+    // Plain faces are told by little else than that the background's pattern is not on them.
+    const bool is_plain = std::isnan(f.print);
+    if (f.fit < (is_plain ? kPlainFit : kLeastFit)) return true;
+    // A start comes from a taught view, which must then be there to compare with; but not far from where it
+    // was last seen a plain face that fits is the same object still.
+    const bool goes_on = is_plain && f.fit > kPlainFit && is_near_last();
+    const bool must_compare = f.initialised && !views.empty() && !goes_on;
+    const double alike = std::isnan(f.likeness) ? f.correlation : f.likeness;
+    if (alike < options.lost_correlation || (must_compare && std::isnan(alike))) return true;
+    if (must_compare && !has_taught_size(estimate)) return true;
     // An object that looks as taught may have edges that are faint or hidden.
-    const bool looks_right = (f.correlation > kAlike && f.texture_points >= kLeastCorners) ||
-                             (f.correlation > kVeryAlike && f.edges.matched >= kSurePart * f.edges.visible);
+    const double matched = static_cast<double>(f.edges.matched) / f.edges.visible;
+    const bool looks_right = (alike > kAlike && f.texture_points >= kLeastCorners) ||
+                             (alike > kVeryAlike && (!must_compare || matched >= kSurePart));
     if (must_compare && !looks_right) return true;
-    const double least_part = looks_right ? 0.5 * options.lost_part : options.lost_part;
-    return f.edges.matched < least_part * f.edges.visible;
+    if (looks_right) return matched < 0.5 * options.lost_part;
+    // One plain face, without contrast to compare.
+    const bool fits = is_plain && f.fit > kVeryAlike && !(alike < kPlainFit);
+    return matched < (fits ? (f.initialised ? kSurePart : 0.75 * options.lost_part) : options.lost_part);
+  }
+
+  bool is_near_last() const {
+    return !good_particles.empty() && frames_lost < kKeptFrames &&
+           distance_px(good_estimate, estimate, lens.focal_px()) < options.search_px * (1 + frames_lost);
   }
 
   // --- one frame -------------------------------------------------------------------------------------------
@@ -436,28 +640,45 @@ struct Tracker::State {
   bool predict(const Grey& frame, bool by_views, TrackedFrame& out) {
     if (!particles.empty() && !lost) {
       move_particles();
-      if (texture_found) propose(*texture_found);
+      propose_by_looks();
       return true;
     }
+    surfaces_now.clear();
     texture_points.clear();
     const StageClock clock(out.seconds.keypoints);
     std::vector<Particle> fresh;
-    const bool found = (!by_views && particles_from_keypoints(frame, options.particles, fresh)) ||
-                       particles_from_views(frame, options.particles, fresh);
-    if (!particles.empty() && frames_lost < kKeptFrames) {
-      move_particles();
-      if (!found) return true;
-      // Half of each.
-      std::vector<Particle> both(fresh.begin(),
-                                 fresh.begin() + static_cast<std::ptrdiff_t>(fresh.size() + 1) / 2);
-      const std::size_t rest = std::min(particles.size(), fresh.size() - both.size());
-      both.insert(both.end(), particles.begin(), particles.begin() + static_cast<std::ptrdiff_t>(rest));
-      fresh = std::move(both);
-    }
-    if (!found) return false;
-    restart(std::move(fresh));
+    if (by_views || !particles_from_keypoints(frame, options.particles, fresh))
+      particles_from_views(frame, options.particles, fresh);
+    const std::vector<Particle> kept = scattered_particles();
+    std::vector<Pose> poses;
+    for (const Particle& p : fresh) poses.push_back(p.pose);
+    for (const Particle& p : kept) poses.push_back(p.pose);
+    for (const TexturedView& v : views) poses.push_back(v.cam_from_object);
+    const std::vector<Particle> alike =
+        particles_around(best_places(poses, kStarted), (options.particles + 1) / 2);
+    if (alike.empty() && fresh.empty() && kept.empty()) return false;
+    // A half by looks, the other from what was found and what was known.
+    std::vector<Particle> all = alike;
+    const std::size_t rest = static_cast<std::size_t>(options.particles) - all.size();
+    const std::size_t of_kept = fresh.empty() ? rest : rest / 2;
+    all.insert(all.end(), kept.begin(), kept.begin() + std::ptrdiff_t(std::min(of_kept, kept.size())));
+    for (std::size_t i = 0; i < fresh.size() && all.size() < static_cast<std::size_t>(options.particles); ++i)
+      all.push_back(fresh[i]);
+    restart(std::move(all));
     out.initialised = true;
     return true;
+  }
+
+  /// The states when the object was last seen, the more scattered the longer that is ago.
+  std::vector<Particle> scattered_particles() {
+    if (frames_lost >= kKeptFrames) return {};
+    std::vector<Particle> kept = good_particles;
+    const double most_px = options.noise_px * (2 + frames_lost);
+    // Most losses are short slips: some stay near.
+    for (std::size_t i = 0; i < kept.size(); ++i)
+      kept[i].pose =
+          i == 0 ? good_estimate : kept[i].pose * exp(noise_at(kept[i].pose, most_px / double(1 << (i % 3))));
+    return kept;
   }
 
   void restart(std::vector<Particle> fresh) {
@@ -469,38 +690,46 @@ struct Tracker::State {
     for (Particle& p : particles) p.velocity.setZero();
   }
 
-  /// A tenth of the particles come from the texture's pose.
-  void propose(const Pose& pose) {
-    const std::size_t count = std::max<std::size_t>(1, particles.size() / 10);
-    for (std::size_t i = 0; i < std::min(count, particles.size()); ++i)
-      particles[i].pose = i == 0 ? pose : pose * exp(noise_at(pose, 1));
+  /// A tenth of the particles come from the poses that look most like a taught view near the predicted ones.
+  void propose_by_looks() {
+    const Pose predicted = estimate * exp(drift);
+    surfaces_now = surfaces_near(predicted);
+    std::vector<Particle> proposed;
+    if (!surfaces_now.empty()) {
+      std::vector<Pose> poses = {predicted, estimate};
+      if (texture_found) poses.push_back(*texture_found);
+      for (const Particle& p : particles) poses.push_back(p.pose);
+      proposed = particles_around(best_places(poses, kFollowed),
+                                  std::max(1, static_cast<int>(particles.size() / 10)));
+    }
+    if (texture_found) proposed.push_back({*texture_found, Twist::Zero(), 0});
+    if (!proposed.empty()) proposed.push_back({predicted, Twist::Zero(), 0});
+    for (std::size_t i = 0; i < std::min(proposed.size(), particles.size()); ++i)
+      particles[i].pose = proposed[i].pose;
   }
 
-  /// Edges alone do not tell an object from clutter where nothing is known of its place: at a start,
-  /// particles weigh by how the taught views look from there, too.
-  void weigh_by_looks(const Grey& frame) {
-    if (views.empty()) return;
-    parallel_for(static_cast<int>(particles.size()), [&](int i) {
-      if (!std::isfinite(particles[i].log_weight)) return;
-      const double correlation = correlation_at(frame, particles[i].pose);
-      particles[i].log_weight += kViewLikelihood * (std::isnan(correlation) ? 0.0 : correlation);
-    });
+  /// Few particles may have all the weight because one of them is right.
+  bool is_sure(const std::vector<double>& weights) const {
+    if (surfaces.empty()) return false;
+    const auto best = std::max_element(weights.begin(), weights.end()) - weights.begin();
+    const Likeness l = likeness_at(particles[best].pose, 1, kSurfacePoints);
+    return (std::isnan(l.print) ? l.fit : l.print) > kSamePrint;
   }
 
   void run_filter(const GradientPicture& gradient, const Grey& frame, TrackedFrame& out) {
     weigh_particles(gradient);
-    if (out.initialised) weigh_by_looks(frame);
     std::vector<double> weights = normalised_weights(particles);
     out.n_eff = effective_number(weights);
     std::vector<Particle> fresh;
-    if (!out.initialised && out.n_eff < options.effective_part * static_cast<double>(particles.size())) {
+    if (!out.initialised && out.n_eff < options.effective_part * static_cast<double>(particles.size()) &&
+        !is_sure(weights)) {
       const StageClock clock(out.seconds.keypoints);
       if (particles_from_keypoints(frame, options.particles / 2, fresh)) {
         const Particle best = particles[std::max_element(weights.begin(), weights.end()) - weights.begin()];
         fresh.push_back(best);
         restart(std::move(fresh));
+        surfaces_now.clear();
         weigh_particles(gradient);
-        weigh_by_looks(frame);
         weights = normalised_weights(particles);
         out.initialised = true;
       }
@@ -528,6 +757,7 @@ struct Tracker::State {
         },
         [&] {
           const StageClock clock(out.seconds.texture);
+          if (!surfaces.empty()) pyramid = smooth_pyramid(frame);
           follow_motion(frame);
         });
     for (int start = 0; start < kStarts; ++start) {
@@ -542,6 +772,7 @@ struct Tracker::State {
     if (!lost)
       usual_deviation =
           usual_deviation > 0 ? 0.9 * usual_deviation + 0.1 * out.deviation_px : out.deviation_px;
+    if (!lost) good_particles = particles, good_estimate = estimate;
     frames_lost = lost ? frames_lost + 1 : 0;
     return out;
   }
@@ -604,7 +835,7 @@ struct Tracker::State {
   bool predict_alone(const GradientPicture& gradient, const Grey& frame, TrackedFrame& out) {
     if (known && !lost) {
       Measured m;
-      measure(gradient, estimate, options.search_px, m);
+      measure(gradient, estimate, options.search_px, kGlancedAt, m);
       refine_one(gradient, estimate, m);
       estimate_now = m.refined;
       return true;
@@ -628,15 +859,19 @@ struct Tracker::State {
   tbb::task_arena arena;
   ImageF rays;
   std::vector<TexturedView> views;
+  std::vector<SurfaceView> surfaces;             ///< of the views, in their order
+  std::vector<const SurfaceView*> surfaces_now;  ///< what all particles are compared with; null: the nearest
+  SmoothPyramid pyramid;                         ///< of this frame
 
   std::mt19937_64 random;
   std::vector<Particle> particles;
+  std::vector<Particle> good_particles;  ///< when the object was last seen
   std::vector<Pose> before;
   std::vector<KeypointMatch> matches;      ///< keypoints of frame number `matches_frame`
   std::vector<PointMatch> texture_points;  ///< of this frame, where the motion so far led
   std::optional<Pose> texture_found;       ///< and the pose that they tell
   std::uint64_t matches_frame = 0;
-  Pose estimate, estimate_now;
+  Pose estimate, estimate_now, good_estimate;
   Twist drift = Twist::Zero();
   bool known = false, lost = false;
   double usual_deviation = 0;  ///< running mean of deviation_px; 0: none yet

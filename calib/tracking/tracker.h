@@ -1,5 +1,6 @@
 #pragma once
 
+#include <limits>
 #include <memory>
 #include <string>
 #include <vector>
@@ -54,6 +55,10 @@ struct TrackedFrame {
   int texture_points = 0;
   double deviation_px = 0;  ///< robust, of all residuals at the estimate
   double correlation = 0;   ///< with the keyframe's texture; NaN: not known
+  double likeness = std::numeric_limits<double>::quiet_NaN();  ///< as correlation, of smoothed brightness
+  double fit =
+      std::numeric_limits<double>::quiet_NaN();  ///< part of the brightness that taught views explain
+  double print = std::numeric_limits<double>::quiet_NaN();  ///< of each face apart; NaN: not known, or plain
   StageSeconds seconds;
 };
 

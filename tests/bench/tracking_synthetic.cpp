@@ -76,13 +76,14 @@ void run(const Sequence& s, const std::vector<Grey>& pictures, const std::vector
     const bool off = !f.has_pose || dt > 0.02 || dr > 8 / kDegree;
     if (verbose)
       fmt::print(
-          "{:2} {:.2f} mm {:.2f} deg{}{}{}{} edges {}/{} n_eff {:.1f} of {} texture {} corr {:.2f} dev "
+          "{:2} {:.2f} mm {:.2f} deg{}{}{}{} edges {}/{} n_eff {:.1f} of {} texture {} corr {:.2f} like "
+          "{:.2f} fit {:.2f} print {:.2f} dev "
           "{:.2f}, {:.1f} "
           "ms (g {:.1f} k {:.1f} t {:.1f} f {:.1f} e {:.1f})\n",
           i, 1e3 * dt, dr * kDegree, there ? "" : " GONE", f.lost ? " lost" : "",
           f.initialised ? " init" : "", off && !f.lost ? " UNNOTICED" : "", f.edges.matched, f.edges.visible,
-          f.n_eff, f.particles, f.texture_points, f.correlation, f.deviation_px, 1e3 * f.seconds.total,
-          1e3 * f.seconds.gradient, 1e3 * f.seconds.keypoints, 1e3 * f.seconds.texture,
+          f.n_eff, f.particles, f.texture_points, f.correlation, f.likeness, f.fit, f.print, f.deviation_px,
+          1e3 * f.seconds.total, 1e3 * f.seconds.gradient, 1e3 * f.seconds.keypoints, 1e3 * f.seconds.texture,
           1e3 * f.seconds.filter, 1e3 * f.seconds.estimate);
     row.seconds += f.seconds.total;
     ++row.frames;
@@ -159,6 +160,28 @@ Sequence sequence_of(const Object& o, bool cluttered) {
   return s;
 }
 
+Camera distorted(Camera camera) {
+  camera.lens_model = "LENSMODEL_OPENCV4";
+  camera.intrinsics.insert(camera.intrinsics.end(), {-0.25, 0.08, 0.001, -0.001});
+  return camera;
+}
+
+/// Hand-held among scraps: a lens with distortion, an exposure that drifts, noise, blur; taught from frames
+/// of its own.
+Sequence hand_held_cube(const std::string& name, bool textured) {
+  Sequence cube = sequence_of({"cube", box_obj(0.08, 0.08, 0.08), textured ? 0.4 : 0.0, 0.012, 0.041}, true);
+  cube.name = name;
+  cube.camera = distorted(cube.camera);
+  cube.pose = [](double i) { return hand_held(i, 1.5); };
+  cube.gain = [](int i) { return 0.85 + 0.25 * std::sin(0.15 * i); };
+  cube.blur = 3;
+  cube.noise = 14;
+  cube.taught_in_place = true;
+  cube.scene.grid = false;
+  cube.taught = {cube.pose(0), cube.pose(25), cube.pose(50)};
+  return cube;
+}
+
 /// Sequences like the paper's, and with what a hand-held camera adds.
 std::vector<Sequence> all_sequences() {
   std::vector<Sequence> sequences;
@@ -186,21 +209,18 @@ std::vector<Sequence> all_sequences() {
   };
   shaken.blur = 5;
   for (const Sequence& s : {fast, out, hidden, shaken}) sequences.push_back(s);
-  // Hand-held: a lens with distortion, an exposure that drifts, noise, blur; taught from frames of its own.
   for (const bool textured : {true, false}) {
-    Sequence cube =
-        sequence_of({"cube", box_obj(0.08, 0.08, 0.08), textured ? 0.4 : 0.0, 0.012, 0.041}, true);
-    cube.name = textured ? "cube, hand-held" : "cube without texture, hand-held";
-    cube.camera.lens_model = "LENSMODEL_OPENCV4";
-    cube.camera.intrinsics.insert(cube.camera.intrinsics.end(), {-0.25, 0.08, 0.001, -0.001});
-    cube.pose = [](double i) { return hand_held(i, 1.5); };
-    cube.gain = [](int i) { return 0.85 + 0.25 * std::sin(0.15 * i); };
-    cube.blur = 3;
-    cube.noise = 14;
-    cube.taught_in_place = true;
-    cube.scene.grid = false;
-    cube.taught = {cube.pose(0), cube.pose(25), cube.pose(50)};
-    sequences.push_back(cube);
+    const std::string name = textured ? "cube" : "cube without texture";
+    sequences.push_back(hand_held_cube(name + ", hand-held", textured));
+    Sequence grid = hand_held_cube(name + " on a grid, hand-held", textured);
+    grid.scene.grid = true;
+    Sequence quick = grid, small = grid;
+    quick.name = name + " on a grid, twice as quick";
+    quick.pose = [](double i) { return hand_held(2 * i, 1.5); };
+    quick.taught = {quick.pose(0), quick.pose(25), quick.pose(50)};
+    small.name = name + " on a grid, 384x288";
+    small.camera = distorted(plain_camera(384, 288, 420));
+    for (const Sequence& s : {grid, quick, small}) sequences.push_back(s);
   }
   return sequences;
 }

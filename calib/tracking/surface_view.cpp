@@ -1,0 +1,334 @@
+#include "calib/tracking/surface_view.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <opencv2/imgproc.hpp>
+#include <random>
+
+namespace stuv::tracking {
+namespace {
+
+/// Cosine of the steepest slant at which a surface is compared: 75 degrees.
+constexpr double kLeastSlant = 0.26;
+/// Least standard deviation of a view's brightness, and of the print on its faces [grey levels].
+constexpr double kLeastContrast = 2.5, kLeastPrint = 5;
+/// Differences in brightness below this are no pattern [grey levels]; gains of the exposure that are fitted.
+constexpr double kPattern = 10, kLeastGain = 0.4, kMostGain = 2.5;
+/// How far inside the outline points lie, as part of the object's size, and at most [px].
+constexpr double kInside = 0.04, kMostInside_px = 4;
+/// Points that must face the camera, and as part of all.
+constexpr int kLeastPoints = 30;
+constexpr double kLeastPart = 1.0 / 3;
+/// Neighbouring residuals go wrong together: this many count as one.
+constexpr double kAlike = 30;
+/// The object's surface is off its model by this much in places, which a gradient turns into brightness [px].
+constexpr double kModelError_px = 0.6;
+/// Least deviation of the brightness: light and lens do not repeat better [grey levels].
+constexpr double kLeastDeviation = 2;
+constexpr int kSteps = 8;
+
+cv::Mat mat_of(const ImageF& picture) {
+  return {picture.height, picture.width, CV_32F, const_cast<float*>(picture.data.data())};
+}
+
+/// The levels of one float picture, as matrices.
+std::array<cv::Mat, SmoothPyramid::count> levels_of(const cv::Mat& picture) {
+  std::array<cv::Mat, SmoothPyramid::count> levels;
+  cv::GaussianBlur(picture, levels[0], {}, 1.0);
+  for (int l = 1; l < SmoothPyramid::count; ++l) cv::pyrDown(levels[l - 1], levels[l]);
+  return levels;
+}
+
+cv::Mat float_of(const Grey& picture) {
+  cv::Mat out;
+  cv::Mat(picture.height, picture.width, CV_8U, const_cast<std::uint8_t*>(picture.data.data()))
+      .convertTo(out, CV_32F);
+  return out;
+}
+
+/// Bilinear; false outside.
+template <class Picture>
+bool sample(const Picture& at, int width, int height, double x, double y, float& value) {
+  if (!(x >= 0 && y >= 0 && x < width - 1 && y < height - 1)) return false;
+  const int ix = static_cast<int>(x), iy = static_cast<int>(y);
+  const float fx = static_cast<float>(x - ix), fy = static_cast<float>(y - iy);
+  const float *a = at(iy) + ix, *b = at(iy + 1) + ix;
+  value = (1 - fy) * ((1 - fx) * a[0] + fx * a[1]) + fy * ((1 - fx) * b[0] + fx * b[1]);
+  return true;
+}
+
+bool sample(const ImageF& picture, const Eigen::Vector2d& q, float& value) {
+  return sample([&](int y) { return picture.row(y); }, picture.width, picture.height, q.x(), q.y(), value);
+}
+
+bool faces(const SurfaceView::Point& p, const Eigen::Vector3d& eye) {
+  const Eigen::Vector3d ray = eye - p.x;
+  return p.n.dot(ray) > kLeastSlant * ray.norm();
+}
+
+struct Sums {
+  double n = 0, a = 0, b = 0, aa = 0, bb = 0, ab = 0;
+  void add(double u, double v) { n += 1, a += u, b += v, aa += u * u, bb += v * v, ab += u * v; }
+};
+
+/// Sums of squares about the mean.
+struct Moments {
+  double aa = 0, bb = 0, ab = 0;
+  void add(const Sums& s) {
+    if (s.n < 1) return;
+    aa += s.aa - s.a * s.a / s.n, bb += s.bb - s.b * s.b / s.n, ab += s.ab - s.a * s.b / s.n;
+  }
+  double fit(double n) const {
+    const double gain = std::clamp(aa > 0 ? ab / aa : 1.0, kLeastGain, kMostGain);
+    const double left = bb - 2 * gain * ab + gain * gain * aa;
+    return 1 - left / std::max({bb, gain * gain * aa, kPattern * kPattern * n});
+  }
+  double correlation(double n, double least) const {
+    if (!(aa > least * least * n)) return std::numeric_limits<double>::quiet_NaN();
+    // A picture without contrast is not like one that has some.
+    return ab / std::sqrt(aa * std::max(bb, 1e-3 * aa + 1e-9));
+  }
+};
+
+/// One row of the normal equations: derivative by twist, gain, offset; residual.
+struct Row {
+  Twist J;
+  double e = 0, taught = 0;
+  double slope = 0;  ///< the gradient's size [grey levels per px]
+  int view = 0;
+};
+
+constexpr int kMostUnknowns = 6 + 2 * kMostViews;
+using Unknowns = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, kMostUnknowns, 1>;
+using Normal = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, kMostUnknowns, kMostUnknowns>;
+
+/// Brightness and its derivatives where one view's points fall; false, and nothing added, if too few are
+/// seen.
+bool collect(const SurfaceView& view, const SmoothPyramid& picture, int level, const Lens& lens,
+             const Pose& pose, int number, std::vector<Row>& rows) {
+  const std::size_t before = rows.size(), stride = std::size_t(1) << level;  // a coarse level needs fewer
+  const ImageF& frame = picture.levels[level];
+  const double scale = 1.0 / (1 << level);
+  const Eigen::Vector3d eye = pose.centre();
+  Eigen::Vector2d q;
+  Eigen::Matrix<double, 2, 3> by_point;
+  for (std::size_t j = 0; j < view.points.size(); j += stride) {
+    const SurfaceView::Point& p = view.points[j];
+    if (!faces(p, eye) || !lens.project(pose * p.x, q, &by_point)) continue;
+    q *= scale;
+    float value, left, right, up, down;
+    if (!sample(frame, q, value) || !sample(frame, q - Eigen::Vector2d(1, 0), left) ||
+        !sample(frame, q + Eigen::Vector2d(1, 0), right) || !sample(frame, q - Eigen::Vector2d(0, 1), up) ||
+        !sample(frame, q + Eigen::Vector2d(0, 1), down))
+      continue;
+    const Eigen::RowVector2d gradient(0.5 * scale * (right - left), 0.5 * scale * (down - up));
+    const Eigen::RowVector3d by_v = gradient * by_point * pose.R;
+    Row row;
+    row.J.head<3>() = by_v.transpose();
+    row.J.tail<3>() = -(by_v * cross_matrix(p.x)).transpose();
+    row.taught = p.value[level];
+    row.e = value;
+    row.slope = gradient.norm();
+    row.view = number;
+    rows.push_back(row);
+  }
+  const std::size_t added = rows.size() - before;
+  if (added >= kLeastPoints &&
+      static_cast<double>(added * stride) > kLeastPart * static_cast<double>(view.points.size()))
+    return true;
+  rows.resize(before);
+  return false;
+}
+
+double robust_deviation(std::vector<double>& e) {
+  const auto middle = e.begin() + static_cast<std::ptrdiff_t>(e.size() / 2);
+  std::nth_element(e.begin(), middle, e.end());
+  return std::max(kLeastDeviation, 1.4826 * *middle);
+}
+
+/// Gain and offset by least squares.
+Eigen::Vector2d exposure_of(const std::vector<Row>& rows, int view) {
+  Sums s;
+  for (const Row& r : rows)
+    if (r.view == view) s.add(r.taught, r.e);
+  if (s.n < 1) return {1, 0};
+  const double va = s.aa - s.a * s.a / s.n, gain = va > 0 ? (s.ab - s.a * s.b / s.n) / va : 1;
+  // A gain near 0 or below says nothing of the pose.
+  const double kept = std::clamp(gain, 0.2, 5.0);
+  return {kept, (s.b - kept * s.a) / s.n};
+}
+
+struct Level {
+  std::span<const SurfaceView* const> views;
+  const SmoothPyramid& picture;
+  int level;
+  const Lens& lens;
+};
+
+/// Normal equations of the weighted residuals by twist and each view's gain and offset.
+void normal_equations(const std::vector<Row>& rows, double deviation, Normal& H, Unknowns& g) {
+  H.setZero();
+  g.setZero();
+  Unknowns J = g;
+  for (const Row& r : rows) {
+    const double u = r.e / (4.685 * deviation);
+    if (std::abs(u) >= 1) continue;
+    const double by_model = kModelError_px * r.slope;
+    const double w = (1 - u * u) * (1 - u * u) / (kAlike * (deviation * deviation + by_model * by_model));
+    J.setZero();
+    J.head<6>() = r.J;
+    J[6 + 2 * r.view] = -r.taught;
+    J[7 + 2 * r.view] = -1;
+    H.noalias() += w * J * J.transpose();
+    g.noalias() -= w * r.e * J;
+  }
+}
+
+/// Moves the pose on one level; false if too little of the object is seen.
+bool align_level(const Level& l, const Matrix6& prior, const Pose& start, Alignment& out) {
+  const int count = std::min<int>(static_cast<int>(l.views.size()), kMostViews), unknowns = 6 + 2 * count;
+  std::vector<Row> rows;
+  std::vector<double> sizes;
+  Normal H(unknowns, unknowns);
+  Unknowns g(unknowns);
+  for (int step = 0; step < kSteps; ++step) {
+    rows.clear();
+    for (int v = 0; v < count; ++v)
+      if (collect(*l.views[v], l.picture, l.level, l.lens, out.cam_from_object, v, rows)) {
+        const Eigen::Vector2d exposure = exposure_of(rows, v);
+        for (Row& r : rows)
+          if (r.view == v) r.e -= exposure[0] * r.taught + exposure[1];
+      }
+    if (rows.empty()) return false;
+    sizes.clear();
+    for (const Row& r : rows) sizes.push_back(std::abs(r.e));
+    normal_equations(rows, robust_deviation(sizes), H, g);
+    out.information = H.topLeftCorner<6, 6>();
+    // P holds the pose near where it started: mu is counted from here.
+    const Twist so_far = log(start.inverse() * out.cam_from_object);
+    H.topLeftCorner<6, 6>() += prior;
+    g.head<6>() -= prior * so_far;
+    H.diagonal().tail(2 * count).array() += 1e-9;  // a view that is left out
+    const Unknowns mu = H.ldlt().solve(g);
+    if (!mu.allFinite() || mu.segment<3>(3).norm() > 1) return false;
+    const Twist twist = mu.head<6>();
+    out.cam_from_object = out.cam_from_object * exp(twist);
+    if (twist.dot(prior * twist) < 1e-5) break;
+  }
+  return true;
+}
+
+}  // namespace
+
+SmoothPyramid smooth_pyramid(const Grey& picture) {
+  const auto levels = levels_of(float_of(picture));
+  SmoothPyramid out;
+  for (int l = 0; l < SmoothPyramid::count; ++l) {
+    out.levels[l] = ImageF::unset(levels[l].cols, levels[l].rows, 1);
+    levels[l].copyTo(mat_of(out.levels[l]));
+  }
+  return out;
+}
+
+SurfaceView surface_view(const TexturedView& view, const ObjectModel& model, const ImageF& rays, int most) {
+  SurfaceView out;
+  out.cam_from_object = view.cam_from_object;
+  const DepthPatch& patch = view.depth;
+  const int width = patch.depth.width, height = patch.depth.height;
+  if (width < 3 || height < 3) return out;
+  const Eigen::Vector3d eye = view.cam_from_object.centre();
+  // Far enough from its outline.
+  cv::Mat inside;
+  {
+    cv::Mat there(height, width, CV_8U, cv::Scalar(0));
+    for (int y = 0; y < height; ++y)
+      for (int x = 0; x < width; ++x)
+        if (std::isfinite(patch.depth.at(x, y))) there.at<std::uint8_t>(y, x) = 255;
+    const double size = std::sqrt(static_cast<double>(cv::countNonZero(there)));
+    const int by = static_cast<int>(std::lround(std::clamp(kInside * size, 1.0, kMostInside_px)));
+    cv::erode(there, inside, cv::Mat::ones(2 * by + 1, 2 * by + 1, CV_8U), {-1, -1}, 1, cv::BORDER_CONSTANT,
+              cv::Scalar(0));
+  }
+  // The object alone, smoothed: over its pixels only.
+  cv::Mat mask(view.picture.height, view.picture.width, CV_32F, cv::Scalar(0));
+  int pixels = 0;
+  for (int y = 0; y < height; ++y)
+    for (int x = 0; x < width; ++x)
+      if (std::isfinite(patch.depth.at(x, y))) mask.at<float>(y + patch.y0, x + patch.x0) = 1, ++pixels;
+  const auto sums = levels_of(float_of(view.picture).mul(mask)), weights = levels_of(mask);
+  const double step = std::max(1.0, std::sqrt(pixels / static_cast<double>(std::max(1, most))));
+  std::vector<int> face_number(model.face_normals.size(), -1);
+  const Pose object_from_cam = view.cam_from_object.inverse();
+  for (double sy = 1; sy < height - 1; sy += step)
+    for (double sx = 1; sx < width - 1; sx += step) {
+      const int x = static_cast<int>(sx), y = static_cast<int>(sy);
+      if (inside.at<std::uint8_t>(y, x) == 0) continue;
+      const int face = patch.face.at(x, y);
+      SurfaceView::Point p;
+      const float* ray = &rays.at(x + patch.x0, y + patch.y0);
+      p.x = object_from_cam * (double(patch.depth.at(x, y)) * Eigen::Vector3d(ray[0], ray[1], 1));
+      p.n = model.face_normals[face];
+      if (p.n.dot(eye - p.x) < 0) p.n = -p.n;
+      if (!faces(p, eye)) continue;
+      bool known = true;
+      for (int l = 0; l < SmoothPyramid::count && known; ++l) {
+        const double scale = 1.0 / (1 << l), qx = scale * (x + patch.x0), qy = scale * (y + patch.y0);
+        float sum = 0, weight = 0;
+        const auto in = [&](const cv::Mat& m) { return [&m](int row) { return m.ptr<float>(row); }; };
+        known = sample(in(sums[l]), sums[l].cols, sums[l].rows, qx, qy, sum) &&
+                sample(in(weights[l]), weights[l].cols, weights[l].rows, qx, qy, weight) && weight > 0.05F;
+        p.value[l] = known ? sum / weight : 0;
+      }
+      if (!known) continue;
+      if (face_number[face] < 0) face_number[face] = out.faces++;
+      p.face = face_number[face];
+      out.points.push_back(p);
+    }
+  std::mt19937 random(1);
+  for (std::size_t i = out.points.size(); i > 1; --i) std::swap(out.points[i - 1], out.points[random() % i]);
+  return out;
+}
+
+Likeness likeness(const SurfaceView& view, const SmoothPyramid& picture, int level, const Lens& lens,
+                  const Pose& pose, int most) {
+  const ImageF& frame = picture.levels[level];
+  const double scale = 1.0 / (1 << level);
+  const Eigen::Vector3d eye = pose.centre();
+  const std::size_t count = std::min(view.points.size(), static_cast<std::size_t>(std::max(0, most)));
+  std::vector<Sums> by_face(static_cast<std::size_t>(view.faces));
+  Sums whole;
+  Eigen::Vector2d q;
+  for (std::size_t j = 0; j < count; ++j) {
+    const SurfaceView::Point& p = view.points[j];
+    float value;
+    if (!faces(p, eye) || !lens.project(pose * p.x, q) || !sample(frame, scale * q, value)) continue;
+    by_face[p.face].add(p.value[level], value);
+    whole.add(p.value[level], value);
+  }
+  constexpr double nan = std::numeric_limits<double>::quiet_NaN();
+  if (whole.n < kLeastPoints || whole.n < kLeastPart * static_cast<double>(count)) return {nan, nan, nan};
+  Moments all, print;
+  all.add(whole);
+  for (const Sums& s : by_face) print.add(s);
+  return {all.fit(whole.n), all.correlation(whole.n, kLeastContrast),
+          print.correlation(whole.n, kLeastPrint)};
+}
+
+Alignment align(std::span<const SurfaceView* const> views, const SmoothPyramid& picture, int from,
+                const Lens& lens, const Pose& cam_from_object, const Twist& spread) {
+  Alignment out;
+  out.cam_from_object = cam_from_object;
+  // From the camera's axes into the object's: cov = D S D^T with D a rotation, so its inverse is alike.
+  const Twist inverse = spread.cwiseAbs2().cwiseInverse();
+  Matrix6 prior = Matrix6::Zero();
+  for (const int k : {0, 3})
+    prior.block<3, 3>(k, k) =
+        cam_from_object.R.transpose() * inverse.segment<3>(k).asDiagonal() * cam_from_object.R;
+  for (int level = std::min(from, SmoothPyramid::count - 1); level >= 0; --level)
+    if (!align_level({views, picture, level, lens}, prior, cam_from_object, out)) return out;
+  out.converged = true;
+  return out;
+}
+
+}  // namespace stuv::tracking
