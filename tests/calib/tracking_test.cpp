@@ -6,6 +6,7 @@
 #include "calib/tracking/particle_filter.h"
 #include "calib/tracking/report.h"
 #include "calib/tracking/sequence.h"
+#include "calib/tracking/surface_view.h"
 #include "calib/tracking/texture.h"
 #include "calib/tracking/tracker.h"
 #include "core/error.h"
@@ -78,6 +79,54 @@ Pose path(double i, double scale = 1) {
 }
 
 }  // namespace
+
+TEST_CASE("tracking: the brightness of a taught view tells how alike a pose looks, and leads to it") {
+  const Bench bench;
+  const tracking::Lens lens(bench.camera);
+  const ImageF rays = rays_of(bench.camera);
+  const Keyframe& k = bench.keyframes[0];
+  const TexturedView view{k.picture, k.cam_from_object,
+                          render_depth(bench.scene.model, lens, rays, k.cam_from_object, 1e-3)};
+  const SurfaceView surface = surface_view(view, bench.scene.model, rays, 1200);
+  CHECK(surface.points.size() > 300);
+  CHECK(surface.points.size() <= 1200);
+  CHECK(surface.faces >= 2);
+  // Another pose, darker and with less contrast: the exposure has changed.
+  const Pose truth = k.cam_from_object * tracking::exp(twist_of({0.004, -0.003, 0.01}, {0.05, 0.1, -0.04}));
+  Grey frame = bench.look(truth, {}, 5);
+  for (auto& value : frame.data) value = static_cast<std::uint8_t>(0.7 * value + 15);
+  const SmoothPyramid pyramid = smooth_pyramid(frame);
+  const auto at = [&](const Pose& pose) { return likeness(surface, pyramid, 0, lens, pose, 1200); };
+  const double px = truth.t.z() / bench.camera.intrinsics[0];
+  const Pose start = truth * tracking::exp(twist_of({7 * px, -5 * px, 0.004}, {0.03, -0.02, 0.03}));
+  CHECK(at(truth).fit > 0.9);
+  CHECK(at(truth).print > 0.9);
+  CHECK(at(start).fit < at(truth).fit - 0.2);
+  const SurfaceView* const views[] = {&surface};
+  const Twist spread = twist_of(Eigen::Vector3d::Constant(30 * px), Eigen::Vector3d::Constant(0.3));
+  const Alignment found = align(views, pyramid, 2, lens, start, spread);
+  REQUIRE(found.converged);
+  const Twist error = tracking::log(found.cam_from_object.inverse() * truth);
+  INFO(error.transpose());
+  CHECK((found.cam_from_object.t - truth.t).head<2>().norm() < 0.5 * px);
+  CHECK(angle_between(found.cam_from_object, truth) < 0.01);
+  CHECK(error.dot(found.information * error) < 6 * 9);  // three sigma in each of six directions
+
+  // Nothing to see, or nothing in the picture: no likeness, and no pose out of nothing.
+  Grey flat = frame;
+  std::fill(flat.data.begin(), flat.data.end(), std::uint8_t{90});
+  const SmoothPyramid nothing = smooth_pyramid(flat);
+  const Likeness of_nothing = likeness(surface, nothing, 0, lens, truth, 1200);
+  CHECK(of_nothing.fit < at(truth).fit - 0.2);
+  CHECK_FALSE(of_nothing.whole > 0.3);
+  CHECK_FALSE(of_nothing.print > 0.3);
+  const Alignment stays = align(views, nothing, 2, lens, start, spread);
+  CHECK((stays.cam_from_object.t - start.t).norm() < 30 * px);
+  Pose aside = truth;
+  aside.t.x() += 10;
+  CHECK(std::isnan(at(aside).fit));
+  CHECK_FALSE(align(views, pyramid, 2, lens, aside, spread).converged);
+}
 
 TEST_CASE("tracking: exp and log are inverse, also near 0 and near pi, and match the power series") {
   for (const double angle :
