@@ -7,7 +7,6 @@
 
 #include "calib/board/detect_chessboard.h"
 #include "calib/board/detect_markers.h"
-#include "calib/board/pattern.h"
 #include "calib/board/refine.h"
 #include "calib/board/symmetric_corner.h"
 

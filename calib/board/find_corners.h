@@ -28,7 +28,7 @@ FoundCorners find_corners(const Recording& recording, const Board& board, const 
 /// Weights of a view's corners for the solve: hypot(sigma_ref, f) / hypot(sigma, f), 0 where none was seen,
 /// with sigma_ref the median over all views, so that a usual corner weighs 1 and the noise of the solve is
 /// that of such a one; f = kSolveFloorPx for what lens model and board add to any corner.
-inline constexpr double kSolveFloorPx = 0.05;
+inline constexpr double kSolveFloorPx = 0.05;  ///< plain rms of array20's residuals
 std::vector<double> corner_weights(const BoardView& view, double sigma_ref_px);
 double median_sigma_px(const FoundCorners& found);
 

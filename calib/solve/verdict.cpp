@@ -158,9 +158,10 @@ using Texts = std::vector<std::string>;
 void judge_fit(const Calibration& c, const CalibrationOptions& options, Texts& reasons) {
   const JointSolution& s = c.solution;
   if (!s.converged) reasons.emplace_back("the solve did not converge");
-  if (!(s.rms_px <= options.most_rms_px))
-    reasons.push_back(
-        fmt::format("residuals are large: rms {:.2f} px, more than {:.2f}", s.rms_px, options.most_rms_px));
+  // Without weights: what weighs little because it fits badly must not look good for it.
+  if (!(s.rms_unweighted_px <= options.most_rms_px))
+    reasons.push_back(fmt::format("residuals are large: rms {:.2f} px, more than {:.2f}", s.rms_unweighted_px,
+                                  options.most_rms_px));
   const double share = s.outliers / std::max(1.0, double(s.inliers + s.outliers));
   if (share > 0.1) reasons.push_back(fmt::format("{:.0f} % of the corners are outliers", 100 * share));
 }

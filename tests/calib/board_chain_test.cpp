@@ -45,7 +45,7 @@ TEST_CASE(
     INFO(run.out << run.err);
     REQUIRE((run.exit_code == 0 || run.exit_code == 3));
     const Json report = read_json(folder / "rig" / "report.json");
-    CHECK(report["rms_px"] < 0.12);
+    CHECK(report["rms_unweighted_px"] < 0.12);
     CHECK(report["outlier_fraction"] < 0.02);
     const Rig found = read_rig(folder / "rig"), truth = read_rig(folder / "rec" / "truth");
     REQUIRE(found.cameras.size() == 4);

@@ -77,6 +77,19 @@ inline Scene make_scene(int rows, int cols, int sets, const std::vector<std::str
 }
 
 /// The truth in the frame of the estimate, by rigid alignment of the centres.
+/// More noise on the corners of the views that `which` picks.
+template <class Which>
+void add_noise(Scene& scene, double deviation_px, std::uint64_t seed, Which which) {
+  std::mt19937_64 random(seed);
+  std::normal_distribution<double> noise(0, deviation_px);
+  for (BoardObservation& b : scene.observations.boards)
+    if (which(b))
+      for (Eigen::Vector2d& q : b.corners_px) {
+        const double x = noise(random);
+        q += Eigen::Vector2d(x, noise(random));
+      }
+}
+
 inline Pose rig_from_truth(const Rig& rig, const std::vector<Camera>& truth) {
   const auto n = static_cast<Eigen::Index>(truth.size());
   Eigen::Matrix3Xd a(3, n), b(3, n);

@@ -275,11 +275,7 @@ TEST_CASE("shared and held lenses") {
 
 TEST_CASE("a camera out of focus weighs less and is named") {
   Scene scene = make_scene(2, 3, 10, {}, 0.1);
-  std::mt19937_64 random(3);
-  std::normal_distribution<double> blur(0, 1.5);
-  for (BoardObservation& b : scene.observations.boards)
-    if (b.camera == 4)
-      for (Eigen::Vector2d& q : b.corners_px) q += Eigen::Vector2d(blur(random), blur(random));
+  add_noise(scene, 1.5, 3, [](const BoardObservation& b) { return b.camera == 4; });
   const Calibration c = calibrate(scene.observations, scene.recording);
   INFO(all_of(c));
   CHECK(c.cameras[4].noise_px == Approx(1.5).epsilon(0.1));
