@@ -5,8 +5,10 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <set>
 
 #include "calib/solve/groups.h"
+#include "calib/solve/lens_likeness.h"
 #include "calib/solve/set_weights.h"
 #include "calib/solve/verdict.h"
 #include "core/error.h"
@@ -25,6 +27,11 @@ CameraSummary summary_of(const Calibration& c, int camera) {
   summary.rms_px = summary.seen.rms_px;
   summary.coverage = summary.seen.hull;
   summary.noise_px = s.noise_px / s.camera_weight[camera];
+  if (const Eigen::Index at = camera * s.camera_states; s.solved[camera] && s.camera_covariance.size() > 0) {
+    const auto m = static_cast<Eigen::Index>(s.cameras[camera].intrinsics.size());
+    const Eigen::MatrixXd C = s.camera_covariance.block(at, at, m, m);
+    if (!C.isZero()) summary.lens_covariance = s.sigma_px * s.sigma_px * C;
+  }
   if (!s.focal_sigma.empty()) summary.focal_sigma_px = s.sigma_px * s.focal_sigma[camera];
   return summary;
 }
@@ -148,8 +155,43 @@ std::vector<Camera> known_lenses(const std::vector<Camera>& known, const Observa
   return lenses;
 }
 
-/// Solves the largest group of cameras; all cameras are in the result.
-JointSolution solve_largest_group(Observations& all, const CameraGroups& groups, const SolveOptions& wanted) {
+int sets_with_boards(const Observations& observations) {
+  std::set<int> sets;
+  for (const BoardObservation& b : observations.boards) sets.insert(b.set);
+  return static_cast<int>(sets.size());
+}
+
+/// Where opencv4 does not fit: opencv5, with distortions that are alike in cameras of one make. `options` are
+/// then those of the solution. It does not fit if k3 would lower the cost by more than kClear times what
+/// the noise would make it, errors that solves without some of the sets show counted.
+void choose_lens(const Observations& observations, const Seed& seed, int most_folds, SolveOptions& options,
+                 JointSolution& solution) {
+  constexpr double kClear = 4;
+  constexpr int kFewestSets = 3;  // of two nothing is left to check a richer model by when one is left out
+  if (!solution.converged || sets_with_boards(observations) < kFewestSets) return;
+  SolveOptions richer = options;
+  richer.lens = Lens::opencv5;
+  const JointSolution start = as_opencv5(solution);
+  const double gain = gain_of_k3(observations, start, richer) / static_cast<double>(solution.cameras.size());
+  if (!(gain > kClear * std::pow(solution.noise_px, 2))) return;
+  const double scale = validate_solution(observations, solution, options, most_folds).sigma.scale;
+  if (!(gain > kClear * std::pow(scale * solution.noise_px, 2))) return;
+  const std::vector<bool> every(observations.set_names.size(), true);
+  JointSolution free = solve_again(observations, start, every, richer);
+  free.sigma_px *= scale;
+  const auto alike = lens_likeness(free);
+  if (!alike) return;
+  richer.prior = *alike;
+  // From the beginning: what opencv4 did not fit it took for outliers.
+  const JointSolution other = joint_solve(observations, seed, richer);
+  if (!other.converged || !(other.rms_px < solution.rms_px)) return;
+  options = richer;
+  solution = other;
+}
+
+/// Solves the largest group of cameras; all cameras are in the result. `wanted` comes back as it was solved.
+JointSolution solve_largest_group(Observations& all, const CameraGroups& groups, int most_folds,
+                                  SolveOptions& wanted) {
   ObservedPart part = part_of(all, groups.groups.front());
   SolveOptions options = wanted;
   options.known = known_lenses(wanted.known, part.observations);
@@ -162,6 +204,10 @@ JointSolution solve_largest_group(Observations& all, const CameraGroups& groups,
   JointSolution solution = joint_solve(part.observations, seed, options);
   if (options.reweight && solution.converged && reweight_sets(solution, part.observations))
     solution = joint_solve(part.observations, seed, options);
+  if (options.choose_lens && options.known.empty() && !options.shared_lens)
+    choose_lens(part.observations, seed, most_folds, options, solution);
+  wanted.lens = options.lens;
+  wanted.prior = options.prior;
   // The seed may have brought corners into another order.
   for (std::size_t i = 0; i < part.board_of.size(); ++i) {
     all.boards[part.board_of[i]].corners_px = part.observations.boards[i].corners_px;
@@ -221,10 +267,13 @@ Calibration calibrate(Observations observations, const Recording& recording,
     throw Error("board " + board_spec(c.observations.board),
                 "has fewer than 6 finite corners in every picture", "show more of it");
   reporter.at("solving", 0, 1);
-  c.solution = solve_largest_group(c.observations, groups, options.solve);
+  SolveOptions solve = options.solve;
+  c.solution = solve_largest_group(c.observations, groups, options.most_folds, solve);
   reporter.at("solving", 1, 1);
+  c.lens = solve.lens;
+  c.lenses_alike = !solve.prior.parameter.empty();
   // First of all, for it says how large the sigmas are that all else is judged by.
-  c.validation = validate_solution(c.observations, c.solution, options.solve, options.most_folds, reporter);
+  c.validation = validate_solution(c.observations, c.solution, solve, options.most_folds, reporter);
   if (c.validation->left_out) c.cross_validation_px = c.validation->left_out->rms_px;
   c.solution.sigma_px *= c.validation->sigma.scale;
   for (int i = 0; i < n; ++i) c.cameras.push_back(summary_of(c, i));

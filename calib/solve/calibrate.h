@@ -34,6 +34,7 @@ struct CameraSummary {
   double rms_px = 0;    ///< over x and y; NaN without inliers
   double coverage = 0;  ///< hull of all its corners over the picture
   Eigen::Vector2d focal_sigma_px = {0, 0};
+  Eigen::MatrixXd lens_covariance;  ///< of its parameters; empty where unknown or held
   /// About s, t, w, after rigid alignment of the centres (rigidly_aligned_poses); NaN where not determined.
   Eigen::Vector3d rotation_sigma_rad = Eigen::Vector3d::Constant(std::nan(""));
   double noise_px = 0;              ///< of its corners, as the solve weighed them
@@ -45,6 +46,8 @@ struct CameraSummary {
 struct Calibration {
   Observations observations;  ///< in the order of corners that was solved with
   JointSolution solution;
+  Lens lens = Lens::opencv4;  ///< of the solution
+  bool lenses_alike = false;  ///< lens_likeness had a part in it
   Layout layout;
   LatticeSigma lattice_sigma;
   Rig rig;

@@ -18,6 +18,7 @@ using Linearisation = MrcalProblem::Linearisation;
 
 std::string lens_name(Lens lens, const Eigen::Vector2i& size_px, double focal_px) {
   if (lens == Lens::opencv4) return "LENSMODEL_OPENCV4";
+  if (lens == Lens::opencv5) return "LENSMODEL_OPENCV5";
   if (lens == Lens::opencv8) return "LENSMODEL_OPENCV8";
   // Cubic splines over a tenth more than the field of view, knots square in the picture.
   const double half_rad = std::min(0.9 * M_PI, 1.1 * 2 * std::atan(0.25 * size_px.x() / focal_px));
@@ -211,12 +212,8 @@ Eigen::Matrix<double, 6, 6> motion_jacobian(const Pose& ref_from_board) {
 
 /// The step that Gauss and Newton would still take lowers the cost by no part worth having.
 bool at_minimum(NormalFactor& factor, const Linearisation& l) {
-  Eigen::VectorXd gradient = Eigen::VectorXd::Zero(l.states);
-  double cost = 0;
-  for (int m = 0; m < l.measurements; ++m) {
-    cost += l.x[m] * l.x[m];
-    for (int k = l.column[m]; k < l.column[m + 1]; ++k) gradient[l.row[k]] += l.value[k] * l.x[m];
-  }
+  const Eigen::VectorXd gradient = l.gradient();
+  const double cost = l.cost();
   const double decrease = gradient.dot(factor.solve(gradient).col(0));
   return std::isfinite(cost) && decrease <= 1e-4 * cost + 1e-10 * l.measurements;
 }
@@ -365,7 +362,8 @@ JointSolution joint_solve(const Observations& in, const Seed& seed, const SolveO
                         seed.ref_from_board,
                         {0, 0},
                         in_order(in.boards, order),
-                        {}});
+                        {},
+                        options.prior});
   if (options.reject_outliers) reject_suspects(seed, order, problem);
   const auto all = selections(options, true, true);
   bool solved = problem.optimise(selections(options, false, false));
@@ -385,7 +383,8 @@ JointSolution joint_solve(const Observations& in, const Seed& seed, const SolveO
   std::vector<BoardObservation> boards;
   if (solved && options.reject_outliers && take_back(in, out, boards) > 0) {
     MrcalProblem again({in.board, out.cameras, lenses_of(in.camera_names.size(), options.shared_lens),
-                        out.ref_from_board, out.warp_m, in_order(boards, order), out.camera_weight});
+                        out.ref_from_board, out.warp_m, in_order(boards, order), out.camera_weight,
+                        options.prior});
     solved = again.optimise(all) && again.linearise(all, l) && settle(again, all, l, options);
     out = solution_of(in, order, again, l);
     finish(again, all, solved, l, options, out);
@@ -470,7 +469,7 @@ JointSolution solve_again(const Observations& in, const JointSolution& start,
   for (Pose& f : frames) f = ref_from_new.inverse() * f;
   const std::vector<int> order = solving_order(part.observations.boards);
   MrcalProblem problem({in.board, cameras, lenses_of(cameras.size(), options.shared_lens), frames,
-                        start.warp_m, in_order(part.observations.boards, order), weight});
+                        start.warp_m, in_order(part.observations.boards, order), weight, options.prior});
   const auto what = selections(settings, true, true);
   Linearisation l;
   const bool solved = problem.optimise(what) && problem.linearise(what, l);
@@ -481,6 +480,31 @@ JointSolution solve_again(const Observations& in, const JointSolution& start,
   out.residuals_px.clear();
   out.outlier.clear();
   return out;
+}
+
+JointSolution as_opencv5(JointSolution solution) {
+  for (Camera& camera : solution.cameras) {
+    camera.lens_model = lens_name(Lens::opencv5, {}, 0);
+    camera.intrinsics.push_back(0);
+  }
+  return solution;
+}
+
+double gain_of_k3(const Observations& in, const JointSolution& s, const SolveOptions& options) {
+  const std::vector<int> order = solving_order(in.boards);
+  const MrcalProblem problem({in.board,
+                              s.cameras,
+                              lenses_of(s.cameras.size(), options.shared_lens),
+                              s.ref_from_board,
+                              s.warp_m,
+                              in_order(inliers_only(in, s), order),
+                              s.camera_weight,
+                              {}});
+  Linearisation l;
+  if (!problem.linearise(selections(options, true, true), l)) return 0;
+  NormalFactor factor(l);
+  const Eigen::VectorXd gradient = l.gradient();
+  return factor.good() ? gradient.dot(factor.solve(gradient).col(0)) : 0;
 }
 
 HeldOutError held_out_error(const Observations& in, const JointSolution& solution, int set,
@@ -509,7 +533,7 @@ HeldOutError held_out_error(const Observations& in, const JointSolution& solutio
   std::vector<Pose> frames(inliers_of.ref_from_board.size());
   frames[set] = new_from_ref * inliers_of.ref_from_board[set];
   MrcalProblem check(
-      {in.board, solved, lenses_of(solved.size(), false), frames, solution.warp_m, held, weight});
+      {in.board, solved, lenses_of(solved.size(), false), frames, solution.warp_m, held, weight, {}});
   Linearisation l;
   if (!check.optimise(pose_only) || !check.linearise(pose_only, l)) return {};
   HeldOutError error;

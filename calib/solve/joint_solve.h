@@ -4,16 +4,19 @@
 #include <string>
 #include <vector>
 
+#include "calib/solve/lens_prior.h"
 #include "calib/solve/observations.h"
 #include "calib/solve/seed.h"
 #include "core/camera.h"
 
 namespace stuv {
 
-enum class Lens { opencv4, opencv8, splined };
+enum class Lens { opencv4, opencv5, opencv8, splined };
 
 struct SolveOptions {
   Lens lens = Lens::opencv4;
+  bool choose_lens = false;     ///< calibrate: opencv5 with alike lenses where opencv4 does not fit
+  LensPrior prior;              ///< of opencv5's distortions
   bool shared_lens = false;     ///< one lens for all cameras; their pictures must be of one size
   std::vector<Camera> known;    ///< lenses that are held, one a camera in order, of one model; empty: solved
   bool regularise = true;       ///< mrcal's light pull of distortions to 0 and centres to the middle
@@ -72,6 +75,14 @@ inline constexpr int kMostCameraStates = 3500;
 /// Never throws for numerical reasons: see `converged`.
 JointSolution joint_solve(const Observations& observations, const Seed& seed,
                           const SolveOptions& options = {});
+
+/// An opencv4 solution as one of opencv5, k3 = 0.
+JointSolution as_opencv5(JointSolution solution);
+
+/// By how much the best k3, one a camera, would lower the cost of as_opencv5's solution [px^2 at weight 1],
+/// to first order: g^T (J^T J)^-1 g (a score test). The noise^2 a camera in the mean if opencv4 is right.
+double gain_of_k3(const Observations& observations, const JointSolution& solution,
+                  const SolveOptions& options);
 
 /// Solves again from `start`, with the boards of some sets only and the corners that were inliers there.
 /// Cameras that these sets do not connect to the largest group are not solved.

@@ -22,6 +22,21 @@ double length_unit(const MrcalProblem::Input& in) {
   return std::isfinite(mean) && mean > 0 ? std::exp2(std::round(std::log2(mean))) : 1;
 }
 
+/// CHOLMOD's view of the arrays.
+void view_of(MrcalProblem::Linearisation& l) {
+  l.Jt.nrow = l.states;
+  l.Jt.ncol = l.measurements;
+  l.Jt.nzmax = l.value.size();
+  l.Jt.p = l.column.data();
+  l.Jt.i = l.row.data();
+  l.Jt.x = l.value.data();
+  l.Jt.itype = CHOLMOD_INT;
+  l.Jt.xtype = CHOLMOD_REAL;
+  l.Jt.dtype = CHOLMOD_DOUBLE;
+  l.Jt.sorted = 1;
+  l.Jt.packed = 1;
+}
+
 }  // namespace
 
 MrcalProblem::MrcalProblem(const Input& input) : in_(input), unit_m_(length_unit(input)) {
@@ -80,6 +95,8 @@ Pose MrcalProblem::from_mrcal(const mrcal_pose_t& p) const {
 }
 
 bool MrcalProblem::optimise(mrcal_problem_selections_t what) {
+  // Without the prior mrcal would go back to where it did not hold.
+  if (has_prior(what) && near_prior_ && approach_prior(what)) return true;
   if (!std::isfinite(mrcal_optimize(nullptr, 0, nullptr, 0, intrinsics_.data(), extrinsics_.data(),
                                     frames_.data(), nullptr, &warp_, n_lenses(), n_cameras() - 1, n_frames(),
                                     0, 0, observations_.data(), nullptr, n_boards(), 0, pool_.data(), &lens_,
@@ -88,7 +105,99 @@ bool MrcalProblem::optimise(mrcal_problem_selections_t what) {
                          .rms_reproj_error__pixels))
     return false;
   const auto finite = [](double v) { return std::isfinite(v); };
-  return std::all_of(intrinsics_.begin(), intrinsics_.end(), finite);
+  if (!std::all_of(intrinsics_.begin(), intrinsics_.end(), finite)) return false;
+  if (!has_prior(what)) return true;
+  near_prior_ = approach_prior(what);
+  return near_prior_;
+}
+
+bool MrcalProblem::has_prior(mrcal_problem_selections_t what) const {
+  return !in_.prior.parameter.empty() && what.do_optimize_intrinsics_core &&
+         what.do_optimize_intrinsics_distortions;
+}
+
+/// One measurement a row of `whiten` and lens.
+void MrcalProblem::add_prior(mrcal_problem_selections_t what, Linearisation& l) const {
+  const LensPrior& prior = in_.prior;
+  const Eigen::VectorXd scale = state_scale(what);
+  for (int lens = 0; lens < n_lenses(); ++lens) {
+    const int state = mrcal_state_index_intrinsics(lens, n_lenses(), n_cameras() - 1, n_frames(), 0, 0,
+                                                   n_boards(), what, &lens_);
+    Eigen::VectorXd off = -prior.mean;
+    for (Eigen::Index i = 0; i < off.size(); ++i) off[i] += intrinsics_[lens * params_ + prior.parameter[i]];
+    const Eigen::VectorXd x = prior.whiten * off;
+    for (Eigen::Index m = 0; m < x.size(); ++m) {
+      l.x.push_back(x[m]);
+      for (Eigen::Index i = 0; i < off.size(); ++i) {
+        l.row.push_back(state + prior.parameter[i]);
+        l.value.push_back(prior.whiten(m, i) * scale[state + prior.parameter[i]]);
+      }
+      l.column.push_back(static_cast<int>(l.row.size()));
+    }
+  }
+  l.measurements = static_cast<int>(l.x.size());
+}
+
+double MrcalProblem::Linearisation::cost() const {
+  return Eigen::Map<const Eigen::VectorXd>(x.data(), static_cast<Eigen::Index>(x.size())).squaredNorm();
+}
+
+Eigen::VectorXd MrcalProblem::Linearisation::gradient() const {
+  Eigen::VectorXd g = Eigen::VectorXd::Zero(states);
+  for (int m = 0; m < measurements; ++m)
+    for (int k = column[m]; k < column[m + 1]; ++k) g[row[k]] += value[k] * x[m];
+  return g;
+}
+
+/// Gauss-Newton, halved while the cost rises. Lenses are nearly linear in their distortions.
+bool MrcalProblem::approach_prior(mrcal_problem_selections_t what) {
+  constexpr int kMostSteps = 30, kMostHalvings = 10;
+  constexpr double kWorth = 1e-8;  // of the cost: a hundredth of a sigma, of 1e4 corners
+  Linearisation l;
+  if (!linearise(what, l)) return false;
+  for (int i = 0; i < kMostSteps; ++i) {
+    NormalFactor factor(l);
+    if (!factor.good()) return false;
+    const Eigen::VectorXd gradient = l.gradient();
+    Eigen::VectorXd delta = -factor.solve(gradient).col(0);
+    const double cost = l.cost(), decrease = -gradient.dot(delta);
+    if (!std::isfinite(decrease)) return false;
+    if (decrease <= kWorth * cost) break;
+    const MrcalProblem before = *this;
+    int halvings = 0;
+    for (; halvings < kMostHalvings; ++halvings, delta *= 0.5) {
+      step(what, delta);
+      if (!linearise(what, l)) return false;
+      if (l.cost() < cost) break;
+      *this = before;
+    }
+    if (halvings == kMostHalvings) break;
+  }
+  return true;
+}
+
+void MrcalProblem::step(mrcal_problem_selections_t what, Eigen::VectorXd packed) {
+  mrcal_unpack_solver_state_vector(packed.data(), n_lenses(), n_cameras() - 1, n_frames(), 0, 0, what,
+                                   &lens_);
+  const auto move = [&](mrcal_pose_t& pose, int state) {
+    if (state < 0) return;
+    for (int i = 0; i < 3; ++i) {
+      pose.r.xyz[i] += packed[state + i];
+      pose.t.xyz[i] += packed[state + 3 + i];
+    }
+  };
+  for (int lens = 0; lens < n_lenses(); ++lens) {
+    const int state = mrcal_state_index_intrinsics(lens, n_lenses(), n_cameras() - 1, n_frames(), 0, 0,
+                                                   n_boards(), what, &lens_);
+    for (int i = 0; i < params_; ++i) intrinsics_[lens * params_ + i] += packed[state + i];
+  }
+  for (int c = 1; c < n_cameras(); ++c) move(extrinsics_[c - 1], pose_state(what, c));
+  for (std::size_t s = 0; s < frame_of_.size(); ++s)
+    if (frame_of_[s] >= 0) move(frames_[frame_of_[s]], frame_state(what, static_cast<int>(s)));
+  if (what.do_optimize_calobject_warp && n_boards() > 0) {
+    warp_.x2 += packed[packed.size() - 2];
+    warp_.y2 += packed[packed.size() - 1];
+  }
 }
 
 bool MrcalProblem::linearise(mrcal_problem_selections_t what, Linearisation& l) const {
@@ -102,17 +211,7 @@ bool MrcalProblem::linearise(mrcal_problem_selections_t what, Linearisation& l) 
   l.column.assign(l.measurements + 1, 0);
   l.row.assign(nonzero, 0);
   l.value.assign(nonzero, 0);
-  l.Jt.nrow = l.states;
-  l.Jt.ncol = l.measurements;
-  l.Jt.nzmax = nonzero;
-  l.Jt.p = l.column.data();
-  l.Jt.i = l.row.data();
-  l.Jt.x = l.value.data();
-  l.Jt.itype = CHOLMOD_INT;
-  l.Jt.xtype = CHOLMOD_REAL;
-  l.Jt.dtype = CHOLMOD_DOUBLE;
-  l.Jt.sorted = 1;
-  l.Jt.packed = 1;
+  view_of(l);
   std::vector<double> state(l.states);
   const bool known = mrcal_optimizer_callback(
       state.data(), l.states * static_cast<int>(sizeof(double)), l.x.data(),
@@ -122,6 +221,8 @@ bool MrcalProblem::linearise(mrcal_problem_selections_t what, Linearisation& l) 
       in_.board.square_m / unit_m_, in_.board.columns, in_.board.rows, false);
   for (double& x : l.x) x /= corner_scale_;
   for (double& v : l.value) v /= corner_scale_;
+  if (has_prior(what)) add_prior(what, l);
+  view_of(l);
   return known;
 }
 

@@ -9,6 +9,7 @@ extern "C" {
 }
 #include <suitesparse/cholmod.h>
 
+#include "calib/solve/lens_prior.h"
 #include "calib/solve/observations.h"
 #include "core/camera.h"
 #include "core/pose.h"
@@ -35,18 +36,23 @@ class MrcalProblem {
     Eigen::Vector2d warp_m = {0, 0};
     std::vector<BoardObservation> boards;  ///< in the order of their sets
     std::vector<double> camera_weight;     ///< on top of the corners' own; empty: 1
+    LensPrior prior;                       ///< takes part where all of a lens is solved for
   };
   explicit MrcalProblem(const Input& input);
 
-  /// Whether mrcal solved it without losing finiteness.
+  /// Whether it was solved without losing finiteness: by mrcal, and from there by Gauss-Newton steps if there
+  /// is a prior, which mrcal has no place for.
   bool optimise(mrcal_problem_selections_t what);
 
   struct Linearisation {
     int states = 0, measurements = 0;
-    std::vector<double> x;         ///< the boards' measurements first, then regularisation
+    std::vector<double> x;         ///< the boards' measurements first, then regularisation, then the prior
     std::vector<int> column, row;  ///< J^T by columns: one a measurement
     std::vector<double> value;
     cholmod_sparse Jt = {};
+
+    double cost() const;               ///< x^T x
+    Eigen::VectorXd gradient() const;  ///< J^T x: half the cost's
   };
   /// Residuals and Jacobian (of the packed state) at the present values.
   bool linearise(mrcal_problem_selections_t what, Linearisation& l) const;
@@ -72,6 +78,10 @@ class MrcalProblem {
 
  private:
   void add_lenses();
+  bool has_prior(mrcal_problem_selections_t what) const;
+  void add_prior(mrcal_problem_selections_t what, Linearisation& l) const;
+  bool approach_prior(mrcal_problem_selections_t what);
+  void step(mrcal_problem_selections_t what, Eigen::VectorXd packed);
   void add_observations(const std::vector<BoardObservation>& boards);
   mrcal_pose_t to_mrcal(const Pose& pose) const;
   Pose from_mrcal(const mrcal_pose_t& pose) const;
@@ -83,6 +93,7 @@ class MrcalProblem {
 
   Input in_;
   double unit_m_ = 1;
+  bool near_prior_ = false;  ///< a solution with the prior was found from about here
   double corner_scale_ = 1;  ///< of corners' weights against regularisation, taken out again by linearise
   mrcal_lensmodel_t lens_ = {};
   int params_ = 0;

@@ -26,6 +26,15 @@ Json maps_json(const CameraSummary& summary) {
   return rows;
 }
 
+/// Rows; null where unknown, or of splines, which have hundreds of parameters.
+Json covariance_json(const Eigen::MatrixXd& C) {
+  constexpr Eigen::Index kMost = 12;
+  if (C.size() == 0 || C.rows() > kMost || !C.allFinite()) return nullptr;
+  Json rows = Json::array();
+  for (Eigen::Index i = 0; i < C.rows(); ++i) rows.push_back(list(C.row(i)));
+  return rows;
+}
+
 Json camera_json(const RigCamera& rc, const CameraSummary& summary) {
   const bool known = rc.determined;
   const Camera& camera = rc.camera;
@@ -35,6 +44,7 @@ Json camera_json(const RigCamera& rc, const CameraSummary& summary) {
           {"col", rc.col},
           {"focal_px", if_known(Eigen::Vector2d(camera.intrinsics[0], camera.intrinsics[1]))},
           {"focal_sigma_px", if_known(summary.focal_sigma_px)},
+          {"lens_covariance", known ? covariance_json(summary.lens_covariance) : Json(nullptr)},
           {"position_m", if_known(camera.cam_from_rig.centre())},
           {"position_sigma_m", if_known(rc.position_sigma_m)},
           {"rotation_sigma_rad", if_known(summary.rotation_sigma_rad)},
@@ -136,6 +146,21 @@ Json report_json(const Calibration& c, double seconds, double seconds_corners) {
       {"advice", c.advice},
       {"seconds", seconds},
       {"seconds_corners", seconds_corners}};
+}
+
+Eigen::MatrixXd lens_covariance_of(const Json& camera) {
+  const Json rows = camera.is_object() ? camera.value("lens_covariance", Json()) : Json();
+  if (!rows.is_array() || rows.empty()) return {};
+  const auto n = static_cast<Eigen::Index>(rows.size());
+  Eigen::MatrixXd C(n, n);
+  for (Eigen::Index i = 0; i < n; ++i) {
+    if (!rows[i].is_array() || rows[i].size() != rows.size()) return {};
+    for (Eigen::Index j = 0; j < n; ++j) {
+      if (!rows[i][j].is_number()) return {};
+      C(i, j) = rows[i][j].get<double>();
+    }
+  }
+  return C;
 }
 
 }  // namespace stuv

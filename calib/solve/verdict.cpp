@@ -256,6 +256,10 @@ void note_structure(const Calibration& c, Texts& notes) {
         fmt::format("cameras see one board shifted against each other, {:.2f} px rms: frames of a set "
                     "that were not taken together and a board that moved are suspected; hold it still",
                     s.view_px));
+  if (c.lenses_alike)
+    notes.emplace_back(
+        "opencv4 does not fit these lenses: they are opencv5, each one's distortion taken as alike to the "
+        "others' where its own boards do not tell");
   note_lens_misfit(c, notes);
   std::vector<double> rms;
   for (const auto& set : s.sets) rms.push_back(set.rms_px);
