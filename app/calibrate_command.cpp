@@ -25,7 +25,7 @@ struct Flags : CommonFlags {
   std::filesystem::path recording, output;
   std::string board, moving, camera;
   std::filesystem::path overlay;
-  Lens lens = Lens::opencv4;
+  std::optional<Lens> lens;
   std::string distance;
   std::filesystem::path lenses, corners;
   double spacing_m = 0;
@@ -100,6 +100,7 @@ void write_overlays(const Flags& flags, const Recording& recording, const Board&
 }
 
 const char* name_of(Lens lens) {
+  if (lens == Lens::opencv5) return "opencv5";
   if (lens == Lens::opencv8) return "opencv8";
   return lens == Lens::splined ? "splined" : "opencv4";
 }
@@ -107,7 +108,7 @@ const char* name_of(Lens lens) {
 Json produced_by(const Flags& flags, const Recording& recording, const Calibration& c) {
   return {{"program", std::string("stuv ") + STUV_VERSION},
           {"board", board_spec(c.observations.board)},
-          {"lens", flags.lenses.empty() ? name_of(flags.lens) : "held"},
+          {"lens", flags.lenses.empty() ? name_of(c.lens) : "held"},
           {"lenses", !flags.lenses.empty() ? flags.lenses.string()
                      : flags.shared_lens   ? "one for all"
                                            : "one a camera"},
@@ -131,6 +132,19 @@ NoBoardOptions::Distance parse_distance(const std::string& text) {
   return distance;
 }
 
+/// What the rig's report says of its lenses, in the order of `lenses`; empty where it says nothing.
+std::vector<Eigen::MatrixXd> stated_lens_covariances(const std::filesystem::path& rig,
+                                                     const std::vector<Camera>& lenses) {
+  std::vector<Eigen::MatrixXd> result(lenses.size());
+  const std::filesystem::path file = rig / "report.json";
+  if (!std::filesystem::exists(file)) return result;
+  const Json report = read_json(file);
+  for (const Json& c : report.value("cameras", Json::array()))
+    for (std::size_t i = 0; i < lenses.size(); ++i)
+      if (c.value("name", "") == lenses[i].name) result[i] = lens_covariance_of(c);
+  return result;
+}
+
 NoBoardOptions no_board_options(const Flags& flags) {
   if (!flags.board.empty()) throw UsageError("--no-board and --board exclude each other");
   NoBoardOptions options;
@@ -140,12 +154,14 @@ NoBoardOptions no_board_options(const Flags& flags) {
     throw UsageError("--no-board wants a scale: --spacing-m or --distance");
   if (!flags.lenses.empty())
     for (const RigCamera& rc : read_rig(flags.lenses).cameras) options.lenses.push_back(rc.camera);
+  options.lens_covariance = stated_lens_covariances(flags.lenses, options.lenses);
   return options;
 }
 
 CalibrationOptions calibration_options(const Flags& flags) {
   CalibrationOptions options;
-  options.solve.lens = flags.lens;
+  options.solve.lens = flags.lens.value_or(Lens::opencv4);
+  options.solve.choose_lens = !flags.lens;
   options.solve.shared_lens = flags.shared_lens;
   if (flags.lenses.empty()) return options;
   if (flags.shared_lens) throw UsageError("--shared-lens and --lenses exclude each other");
@@ -293,9 +309,13 @@ void add_calibrate_command(CLI::App& app, Action& action) {
       ->add_option("--corners", flags->corners,
                    "Solve from the corners in mrcal's corners.vnl instead of looking for boards")
       ->type_name("FILE");
-  const std::map<std::string, Lens> lenses = {
-      {"opencv4", Lens::opencv4}, {"opencv8", Lens::opencv8}, {"splined", Lens::splined}};
-  command->add_option("--lens", flags->lens, "opencv4, opencv8 or splined [opencv4]")
+  const std::map<std::string, Lens> lenses = {{"opencv4", Lens::opencv4},
+                                              {"opencv5", Lens::opencv5},
+                                              {"opencv8", Lens::opencv8},
+                                              {"splined", Lens::splined}};
+  command
+      ->add_option("--lens", flags->lens,
+                   "opencv4, opencv5, opencv8 or splined [opencv4; opencv5 where that does not fit]")
       ->transform(CLI::CheckedTransformer(lenses))
       ->type_name("LENS");
   command->add_flag("--shared-lens", flags->shared_lens,

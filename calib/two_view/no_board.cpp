@@ -7,6 +7,7 @@
 #include <cmath>
 #include <limits>
 #include <map>
+#include <mutex>
 #include <numeric>
 
 #include "calib/two_view/estimate.h"
@@ -51,6 +52,35 @@ Camera lens_of(const NoBoardOptions& options, const std::string& name, const Ima
           info.width, info.height,         {}};
 }
 
+/// root root^T = C, scaled so that parameters may be of any size; without columns if C is no covariance of
+/// the lens.
+Eigen::MatrixXd root_of(const Eigen::MatrixXd& C, const Camera& lens) {
+  const auto m = static_cast<Eigen::Index>(lens.intrinsics.size());
+  const Eigen::MatrixXd exact(m, 0);
+  if (m > kMostLensStates || C.rows() != m || C.cols() != m || !C.allFinite()) return exact;
+  const Eigen::VectorXd sigma = C.diagonal().cwiseMax(0).cwiseSqrt();
+  if (!(sigma.minCoeff() > 0)) return exact;
+  const Eigen::MatrixXd correlation =
+      sigma.cwiseInverse().asDiagonal() * C * sigma.cwiseInverse().asDiagonal();
+  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(0.5 * (correlation + correlation.transpose()));
+  return sigma.asDiagonal() * eigen.eigenvectors() * eigen.eigenvalues().cwiseMax(0).cwiseSqrt().asDiagonal();
+}
+
+/// Of the recording's cameras, in the order of `lenses`; empty: all are exact.
+std::vector<Eigen::MatrixXd> lens_roots(const NoBoardOptions& options, const std::vector<Camera>& lenses) {
+  std::vector<Eigen::MatrixXd> roots;
+  bool any = false;
+  for (const Camera& lens : lenses) {
+    Eigen::MatrixXd covariance;
+    for (std::size_t i = 0; i < options.lens_covariance.size(); ++i)
+      if (options.lenses[i].name == lens.name) covariance = options.lens_covariance[i];
+    roots.push_back(root_of(covariance, lens));
+    any = any || roots.back().cols() > 0;
+  }
+  if (!any) roots.clear();
+  return roots;
+}
+
 double median_focal(const std::vector<Camera>& lenses) {
   std::vector<double> f;
   for (const Camera& c : lenses) f.push_back(c.intrinsics[0]);
@@ -69,17 +99,21 @@ std::vector<Seen> features_of(const Recording& recording, const FrameSet& set,
                               const std::vector<Camera>& lenses, double focal, int most,
                               const Reporter& reporter) {
   std::vector<Seen> seen(recording.cameras.size());
-  int first = 0;
-  for (std::size_t c = 0; c < seen.size(); ++c) {
-    reporter.at("finding features", c, seen.size());
-    seen[c].first = first;
-    if (set.frames[c].status != FrameStatus::ok) continue;
-    seen[c].features = detect_features(read_image(set.frames[c].file), most);
+  std::size_t done = 0;
+  std::mutex counting;
+  parallel_for(static_cast<int>(seen.size()), [&](int c) {
+    if (set.frames[c].status == FrameStatus::ok)
+      seen[c].features = detect_features(read_image(set.frames[c].file), most);
     for (const Eigen::Vector3d& d : unproject(lenses[c], seen[c].features.points_px))
       seen[c].ideal.push_back(focal * d.hnormalized());
-    first += static_cast<int>(seen[c].ideal.size());
+    const std::lock_guard lock(counting);
+    reporter.at("finding features", ++done, seen.size());
+  });
+  int first = 0;
+  for (Seen& s : seen) {
+    s.first = first;
+    first += static_cast<int>(s.ideal.size());
   }
-  reporter.at("finding features", seen.size(), seen.size());
   return seen;
 }
 
@@ -132,14 +166,19 @@ std::vector<Track> find_set_tracks(const Recording& recording, const std::vector
         pairs.emplace_back(a, b);
   const std::size_t total = seen.back().first + seen.back().ideal.size();
   Joiner joiner(total);
-  for (std::size_t p = 0; p < pairs.size(); ++p) {
-    reporter.at("matching pairs", p, pairs.size());
+  std::vector<std::vector<std::pair<int, int>>> matched(pairs.size());
+  std::size_t done = 0;
+  std::mutex counting;
+  parallel_for(static_cast<int>(pairs.size()), [&](int p) {
     const auto [a, b] = pairs[p];
-    if (seen[a].ideal.empty() || seen[b].ideal.empty()) continue;
-    for (const auto& [i, j] : verified(seen[a], seen[b], options.seed))
-      joiner.join(seen[a].first + i, seen[b].first + j);
-  }
-  reporter.at("matching pairs", pairs.size(), pairs.size());
+    if (!seen[a].ideal.empty() && !seen[b].ideal.empty())
+      matched[p] = verified(seen[a], seen[b], options.seed);
+    const std::lock_guard lock(counting);
+    reporter.at("matching pairs", ++done, pairs.size());
+  });
+  for (std::size_t p = 0; p < pairs.size(); ++p)
+    for (const auto& [i, j] : matched[p])
+      joiner.join(seen[pairs[p].first].first + i, seen[pairs[p].second].first + j);
   std::vector<Track> tracks(total);
   for (int c = 0; c < n; ++c)
     for (std::size_t i = 0; i < seen[c].ideal.size(); ++i) {
@@ -230,6 +269,24 @@ std::vector<PlacedCamera> placed_cameras(const SfmSolution& s, const Recording& 
   return placed;
 }
 
+/// How far lenses that are known with a covariance moved in it: |y|^2 has a mean of its numbers.
+void note_lenses(const SfmSolution& s, Calibration& c) {
+  constexpr double kFar = 5;  // of some hundred numbers one in a thousand times
+  double most = 0;
+  std::string far;
+  for (std::size_t i = 0; i < s.placed.size(); ++i) {
+    if (!s.placed[i]) continue;
+    const double y = s.lens[i].cwiseAbs().maxCoeff();
+    most = std::max(most, y);
+    if (y > kFar) far += (far.empty() ? "" : ", ") + c.rig.cameras[i].camera.name;
+  }
+  c.notes.push_back(fmt::format(
+      "lenses were refined within what their calibration left open: by up to {:.1f} sigma", most));
+  if (!far.empty())
+    c.notes.push_back(
+        fmt::format("the scene contradicts the lenses of camera(s) {}: calibrate them anew", far));
+}
+
 void judge(const SfmSolution& s, const CalibrationOptions& limits, Calibration& c) {
   if (!s.converged) c.reasons.emplace_back("the bundle adjustment did not converge");
   if (!(s.rms_px <= 2 * limits.most_rms_px))
@@ -253,6 +310,7 @@ SfmProblem find_tracks(const Recording& recording, const NoBoardOptions& options
   problem.focal_known = !options.lenses.empty();
   const std::vector<Camera> lenses = lenses_of(recording, options);
   problem.focal_px = median_focal(lenses);
+  problem.lens_root = lens_roots(options, lenses);
   for (std::size_t s = 0; s < recording.sets.size(); ++s) {
     const std::vector<Seen> seen =
         features_of(recording, recording.sets[s], lenses, problem.focal_px, options.most_features, reporter);
@@ -300,7 +358,7 @@ Calibration calibrate_without_board(const SfmProblem& problem, const Recording& 
     const auto lens = std::find_if(options.lenses.begin(), options.lenses.end(),
                                    [&](const Camera& l) { return l.name == recording.cameras[i].name; });
     if (lens != options.lenses.end()) {
-      rc.camera = *lens;
+      rc.camera = problem.lens_root.empty() ? *lens : with_states(*lens, problem.lens_root[i], s.lens[i]);
     } else {
       const auto some = std::find_if(recording.sets.begin(), recording.sets.end(), [&](const FrameSet& f) {
         return f.frames[i].status == FrameStatus::ok;
@@ -323,6 +381,12 @@ Calibration calibrate_without_board(const SfmProblem& problem, const Recording& 
     summary.inliers = s.camera_inliers[i];
     summary.rms_px = s.camera_rms_px[i];
     summary.focal_sigma_px = Eigen::Vector2d::Constant(s.focal_sigma_px);
+    if (!s.lens_covariance.empty() && problem.lens_root[i].cols() > 0) {
+      const Eigen::MatrixXd& root = problem.lens_root[i];
+      summary.lens_covariance =
+          root * s.lens_covariance[i].topLeftCorner(root.cols(), root.cols()) * root.transpose();
+      summary.focal_sigma_px = summary.lens_covariance.diagonal().head<2>().cwiseSqrt();
+    }
     c.cameras.push_back(summary);
     rig.cameras.push_back(std::move(rc));
   }
@@ -349,7 +413,9 @@ Calibration calibrate_without_board(const SfmProblem& problem, const Recording& 
     rig.farthest_seen_m = std::max(0.0, depths[depths.size() - 1 - depths.size() / 100]);
   }
   judge(s, {}, c);
-  if (problem.focal_known)
+  if (!problem.lens_root.empty())
+    note_lenses(s, c);
+  else if (problem.focal_known)
     c.notes.emplace_back(
         "the sigmas of the places take the lenses as exact: with lenses that are uncertain they are too "
         "small");

@@ -16,6 +16,8 @@ struct NoBoardOptions {
   /// Lenses, one a camera of the recording; empty: pinholes with one shared focal length, which is solved
   /// for, and the principal point in the middle.
   std::vector<Camera> lenses;
+  /// Of each lens's parameters; empty, or of more than kMostLensStates: the lens is taken as exact.
+  std::vector<Eigen::MatrixXd> lens_covariance;
   /// Scale: the distance of two cameras by name, or the spacing of the lattice [m].
   struct Distance {
     std::string a, b;
@@ -29,12 +31,17 @@ struct NoBoardOptions {
   std::uint64_t seed = 1;
 };
 
+inline constexpr int kMostLensStates = 12;  ///< opencv8
+/// What an ideal pixel moves by with a lens's uncertain directions, see SfmProblem::lens_root; padded with 0.
+using LensSlope = Eigen::Matrix<double, 2, kMostLensStates>;
+
 /// A point of the scene as the cameras see it, in ideal pixels: focal length `focal_px` for all, principal
 /// point 0.
 struct Track {
   std::vector<int> camera;
   std::vector<Eigen::Vector2d> at_px;
-  int set = 0;  ///< of the recording
+  std::vector<LensSlope> by_lens;  ///< of each at_px; empty: lenses are exact
+  int set = 0;                     ///< of the recording
 };
 
 struct SfmProblem {
@@ -42,6 +49,9 @@ struct SfmProblem {
   double focal_px = 0;
   bool focal_known = true;
   std::vector<Track> tracks;
+  /// Lenses that are known with a covariance: parameters = given ones + root y with y ~ N(0, I), one a
+  /// camera. Empty: all exact; 0 columns: this one is.
+  std::vector<Eigen::MatrixXd> lens_root;
   /// Poses to begin with, one a camera, and which of them are known; empty: none.
   std::vector<Pose> start;
   std::vector<bool> started;
@@ -55,6 +65,9 @@ struct SfmSolution {
   std::vector<Eigen::Vector3d> points;    ///< NaN: not placed
   std::vector<std::vector<bool>> inlier;  ///< [track][observation]
   double focal_px = 0, focal_sigma_px = 0;
+  using LensStates = Eigen::Matrix<double, kMostLensStates, 1>;
+  std::vector<LensStates> lens;                  ///< y of each camera; 0 where lenses are exact
+  std::vector<Eigen::MatrixXd> lens_covariance;  ///< of y; empty where lenses are exact
   int inliers = 0, outliers = 0;
   double rms_px = 0, worst_px = 0, noise_px = 0;
   std::vector<double> camera_rms_px;
@@ -69,8 +82,9 @@ struct SfmSolution {
 ///      triangulation
 ///   2. camera after camera by its points (solvePnPRansac), new points, a bundle adjustment every time
 ///   3. minimise sum rho(|f pi(R_i (X_j - c_i)) - x_ij|^2) by Ceres, Huber first; then outliers beyond four
-///   deviations
-///      out, and least squares; the gauge held by camera 0 and the longest component of one other centre
+///      deviations out, and least squares; there x_ij is x_ij + by_lens_ij y_i where lenses are known with a
+///      covariance, and noise^2 sum |y_i|^2 is added; the gauge held by camera 0 and the longest component of
+///      one other centre
 /// Covariance: of the centres from the last Jacobian, points eliminated, each track's errors taken as one
 /// (sandwich).
 SfmSolution solve_sfm(const SfmProblem& problem, std::uint64_t seed, const Reporter& reporter = {});

@@ -6,6 +6,7 @@
 #include <map>
 #include <tuple>
 
+#include "calib/solve/camera_sight.h"
 #include "calib/two_view/align_window.h"
 #include "core/parallel.h"
 
@@ -26,7 +27,11 @@ class Refiner {
  public:
   Refiner(const SetPictures& pictures, const SfmProblem& problem, const SfmSolution& solution,
           const RefineTracksOptions& options)
-      : pictures_(pictures), problem_(problem), solution_(solution), options_(options) {}
+      : pictures_(pictures), problem_(problem), solution_(solution), options_(options) {
+    lenses_.assign(pictures.lenses.begin(), pictures.lenses.end());
+    for (std::size_t c = 0; c < problem.lens_root.size(); ++c)
+      lenses_[c] = with_states(lenses_[c], problem.lens_root[c], solution.lens[c]);
+  }
 
   std::vector<Track> run() const {
     const std::vector<Anchor> anchors = spread(candidates());
@@ -42,10 +47,10 @@ class Refiner {
 
   Eigen::Vector2d to_picture(int camera, const Eigen::Vector3d& x_cam) const {
     const Eigen::Vector3d bent(stretch() * x_cam.x(), stretch() * x_cam.y(), x_cam.z());
-    return project(pictures_.lenses[camera], {bent})[0];
+    return project(lenses_[camera], {bent})[0];
   }
   Eigen::Vector3d ray(int camera, const Eigen::Vector2d& px) const {
-    const Eigen::Vector2d d = unproject(pictures_.lenses[camera], {px})[0].hnormalized();
+    const Eigen::Vector2d d = unproject(lenses_[camera], {px})[0].hnormalized();
     return {d.x() / stretch(), d.y() / stretch(), 1};
   }
   Eigen::Vector2d ideal(int camera, const Eigen::Vector2d& px) const {
@@ -135,17 +140,41 @@ class Refiner {
       }
       track.camera.push_back(c);
       track.at_px.push_back(ideal(c, at));
+      if (!problem_.lens_root.empty())
+        track.by_lens.push_back(
+            lens_slope(pictures_.lenses[c], problem_.lens_root[c], problem_.focal_px, track.at_px.back()));
     }
     return track;
   }
 
   const SetPictures& pictures_;
+  std::vector<Camera> lenses_;  ///< as the solution has them
   const SfmProblem& problem_;
   const SfmSolution& solution_;
   const RefineTracksOptions& options_;
 };
 
 }  // namespace
+
+Camera with_states(Camera lens, const Eigen::MatrixXd& root, const SfmSolution::LensStates& states) {
+  const Eigen::VectorXd change = root * states.head(root.cols());
+  for (Eigen::Index i = 0; i < change.size(); ++i) lens.intrinsics[i] += change[i];
+  return lens;
+}
+
+LensSlope lens_slope(const Camera& lens, const Eigen::MatrixXd& root, double focal_px,
+                     const Eigen::Vector2d& ideal_px) {
+  LensSlope slope = LensSlope::Zero();
+  if (root.cols() == 0) return slope;
+  Camera alone = lens;
+  alone.cam_from_rig = {};
+  const auto sight = camera_sight(alone, lens_model_of(alone), {(ideal_px / focal_px).homogeneous(), 0});
+  if (!sight) return slope;
+  const Eigen::Matrix2d by_direction = sight->by_direction.leftCols<2>();
+  slope.leftCols(root.cols()) =
+      -focal_px * by_direction.inverse() * sight->by_states.leftCols(root.rows()) * root;
+  return slope;
+}
 
 std::vector<Track> refine_tracks(const SetPictures& pictures, const SfmProblem& problem,
                                  const SfmSolution& solution, const RefineTracksOptions& options) {

@@ -1,4 +1,5 @@
 #include <ceres/ceres.h>
+#include <ceres/normal_prior.h>
 #include <ceres/rotation.h>
 
 #include <algorithm>
@@ -45,11 +46,31 @@ struct Reprojection {
   }
 };
 
+/// The same with a lens that is known with a covariance.
+struct ReprojectionByLens {
+  Eigen::Vector2d at;
+  LensSlope by_lens;
+  template <class T>
+  bool operator()(const T* f, const T* r, const T* c, const T* X, const T* y, T* residual) const {
+    Reprojection{at}(f, r, c, X, residual);
+    for (int i = 0; i < kMostLensStates; ++i) {
+      residual[0] -= by_lens(0, i) * y[i];
+      residual[1] -= by_lens(1, i) * y[i];
+    }
+    return true;
+  }
+};
+using FixedLensCost = ceres::AutoDiffCostFunction<Reprojection, 2, 1, 3, 3, 3>;
+using FreeLensCost = ceres::AutoDiffCostFunction<ReprojectionByLens, 2, 1, 3, 3, 3, kMostLensStates>;
+
 class Sfm {
  public:
   Sfm(const SfmProblem& in, std::uint64_t seed, const Reporter& reporter)
       : in_(in), seed_(seed), reporter_(reporter), focal_(in.focal_px) {
     views_.resize(in.cameras);
+    lens_.assign(in.cameras, SfmSolution::LensStates::Zero());
+    lenses_free_ = !in.tracks.empty() && std::all_of(in.tracks.begin(), in.tracks.end(),
+                                                     [](const Track& t) { return !t.by_lens.empty(); });
     placed_.assign(in.cameras, false);
     points_.assign(in.tracks.size(), Eigen::Vector3d::Constant(kNaN));
     for (const Track& t : in.tracks) inlier_.emplace_back(t.camera.size(), true);
@@ -73,6 +94,7 @@ class Sfm {
         huber_px_ = std::clamp(2 * residual_sigma(), 0.02, 1.0);
       }
       for (int round = 0; round < 3; ++round) {
+        noise_px_ = std::max(0.01, residual_sigma());
         out.converged = adjust(false, 100);
         if (!reject()) break;
       }
@@ -86,11 +108,17 @@ class Sfm {
  private:
   Eigen::Vector2d ray(const Eigen::Vector2d& at) const { return at / focal_; }
 
+  /// Where the lens as it is now says the observation is.
+  Eigen::Vector2d at(std::size_t t, std::size_t k) const {
+    const Track& track = in_.tracks[t];
+    return lenses_free_ ? Eigen::Vector2d(track.at_px[k] + track.by_lens[k] * lens_[track.camera[k]])
+                        : track.at_px[k];
+  }
+
   Eigen::Vector2d residual(std::size_t t, std::size_t k) const {
     const Pose p = views_[in_.tracks[t].camera[k]].pose();
     const Eigen::Vector3d x = p * points_[t];
-    return x.z() > 0 ? Eigen::Vector2d(focal_ * x.hnormalized() - in_.tracks[t].at_px[k])
-                     : Eigen::Vector2d::Constant(1e6);
+    return x.z() > 0 ? Eigen::Vector2d(focal_ * x.hnormalized() - at(t, k)) : Eigen::Vector2d::Constant(1e6);
   }
 
   bool used(std::size_t t, std::size_t k) const {
@@ -190,7 +218,7 @@ class Sfm {
         if (!placed_[in_.tracks[t].camera[k]] || !inlier_[t][k]) continue;
         const Pose p = views_[in_.tracks[t].camera[k]].pose();
         centre.push_back(p.centre());
-        direction.push_back((p.R.transpose() * ray(in_.tracks[t].at_px[k]).homogeneous()).normalized());
+        direction.push_back((p.R.transpose() * ray(at(t, k)).homogeneous()).normalized());
       }
       if (centre.size() < 2) continue;
       Eigen::Matrix3d A = Eigen::Matrix3d::Zero();
@@ -251,11 +279,20 @@ class Sfm {
       for (std::size_t k = 0; k < in_.tracks[t].camera.size(); ++k) {
         if (!used(t, k)) continue;
         View& v = views_[in_.tracks[t].camera[k]];
-        problem.AddResidualBlock(new ceres::AutoDiffCostFunction<Reprojection, 2, 1, 3, 3, 3>(
-                                     new Reprojection{in_.tracks[t].at_px[k]}),
-                                 robust ? new ceres::HuberLoss(huber_px_) : nullptr, &focal_, v.r.data(),
-                                 v.c.data(), points_[t].data());
+        if (lenses_free_ && !robust)
+          problem.AddResidualBlock(free_lens_cost(t, k), nullptr, &focal_, v.r.data(), v.c.data(),
+                                   points_[t].data(), lens_[in_.tracks[t].camera[k]].data());
+        else
+          problem.AddResidualBlock(new FixedLensCost(new Reprojection{at(t, k)}),
+                                   robust ? new ceres::HuberLoss(huber_px_) : nullptr, &focal_, v.r.data(),
+                                   v.c.data(), points_[t].data());
       }
+    for (auto& y : lens_)
+      if (problem.HasParameterBlock(y.data()))
+        problem.AddResidualBlock(
+            new ceres::NormalPrior(noise_px_ * Eigen::MatrixXd::Identity(kMostLensStates, kMostLensStates),
+                                   Eigen::VectorXd::Zero(kMostLensStates)),
+            nullptr, y.data());
     View &a = views_[first_], &b = views_[second_];
     for (double* block : {a.r.data(), a.c.data()})
       if (problem.HasParameterBlock(block)) problem.SetParameterBlockConstant(block);
@@ -264,6 +301,10 @@ class Sfm {
       if (std::abs(b.c[i] - a.c[i]) > std::abs(b.c[longest] - a.c[longest])) longest = i;
     if (problem.HasParameterBlock(b.c.data()))
       problem.SetManifold(b.c.data(), new ceres::SubsetManifold(3, {longest}));
+  }
+
+  FreeLensCost* free_lens_cost(std::size_t t, std::size_t k) const {
+    return new FreeLensCost(new ReprojectionByLens{in_.tracks[t].at_px[k], in_.tracks[t].by_lens[k]});
   }
 
   bool adjust(bool robust, int steps) {
@@ -310,13 +351,35 @@ class Sfm {
     return any;
   }
 
-  /// S^-1 M S^-1 of focal length, rotations and centres: S the Schur complement of the points in J^T J, M the
-  /// sum of g g^T over gradients g that are taken as one: of a track, and of a sixteenth of a picture, less
-  /// what both count (Cameron, Gelbach, Miller, 2011). A feature's errors in neighbouring pictures are alike,
-  /// and so are those of neighbouring features, which (J^T J)^-1 does not know.
+  struct Linear {
+    Eigen::Vector2d r;
+    Eigen::Matrix<double, 2, Eigen::Dynamic> J;  ///< by focal, r, c and lens
+    Eigen::Matrix<double, 2, 3> Jx;
+  };
+  Linear linearise(std::size_t t, std::size_t k) const {
+    const int camera = in_.tracks[t].camera[k];
+    const View& v = views_[camera];
+    Eigen::Matrix<double, 2, 1> Jf;
+    Eigen::Matrix<double, 2, 3, Eigen::RowMajor> Jr, Jc, Jx;
+    double* jacobians[] = {Jf.data(), Jr.data(), Jc.data(), Jx.data()};
+    const double* parameters[] = {&focal_, v.r.data(), v.c.data(), points_[t].data()};
+    Linear l;
+    FixedLensCost(new Reprojection{at(t, k)}).Evaluate(parameters, l.r.data(), jacobians);
+    l.J.resize(2, lenses_free_ ? 7 + kMostLensStates : 7);
+    l.J.leftCols<7>() << Jf, Jr, Jc;
+    if (lenses_free_) l.J.rightCols<kMostLensStates>() = -in_.tracks[t].by_lens[k];
+    l.Jx = Jx;
+    return l;
+  }
+
+  /// S^-1 M S^-1 of focal length, rotations, centres and lenses: S the Schur complement of the points in J^T
+  /// J, M the sum of g g^T over gradients g that are taken as one: of a track, and of a sixteenth of a
+  /// picture, less what both count (Cameron, Gelbach, Miller, 2011). A feature's errors in neighbouring
+  /// pictures are alike, and so are those of neighbouring features, which (J^T J)^-1 does not know.
   void covariance(SfmSolution& out) {
-    // Columns: focal, then r and c of each camera. What the gauge holds is left out.
-    const int n = 1 + 6 * in_.cameras;
+    // Columns: focal, then r, c and lens of each camera. What the gauge holds is left out.
+    const int lens_states = lenses_free_ ? kMostLensStates : 0, states = 6 + lens_states;
+    const int n = 1 + states * in_.cameras;
     Eigen::MatrixXd S = Eigen::MatrixXd::Zero(n, n), M = S;
     std::map<std::pair<int, int>, Eigen::VectorXd> parts;  // gradients of (camera, part of its picture)
     Eigen::Vector2d extent = Eigen::Vector2d::Ones();
@@ -327,38 +390,27 @@ class Sfm {
       std::vector<int> columns;
       Eigen::MatrixXd W = Eigen::MatrixXd::Zero(n, 3);
       struct Part {
-        Eigen::Matrix<double, 7, 1> g;
+        Eigen::VectorXd g;
         Eigen::Vector3d gx;
-        std::array<int, 7> at;
+        std::vector<int> at;
         std::pair<int, int> key;
       };
       std::vector<Part> observed;
       for (std::size_t k = 0; k < inlier_[t].size(); ++k) {
         if (!used(t, k)) continue;
         const int camera = in_.tracks[t].camera[k];
-        View& v = views_[camera];
-        const ceres::AutoDiffCostFunction<Reprojection, 2, 1, 3, 3, 3> cost(
-            new Reprojection{in_.tracks[t].at_px[k]});
-        const double* parameters[] = {&focal_, v.r.data(), v.c.data(), points_[t].data()};
-        double residuals[2];
-        Eigen::Matrix<double, 2, 1> Jf;
-        Eigen::Matrix<double, 2, 3, Eigen::RowMajor> Jr, Jc, Jx;
-        double* jacobians[] = {Jf.data(), Jr.data(), Jc.data(), Jx.data()};
-        cost.Evaluate(parameters, residuals, jacobians);
-        Eigen::Matrix<double, 2, 7> J;
-        J << Jf, Jr, Jc;
-        std::array<int, 7> at{0};
-        for (int i = 0; i < 6; ++i) at[i + 1] = 1 + 6 * camera + i;
-        for (int i = 0; i < 7; ++i) {
+        const Linear l = linearise(t, k);
+        std::vector<int> at{0};
+        for (int i = 0; i < states; ++i) at.push_back(1 + states * camera + i);
+        for (int i = 0; i <= states; ++i) {
           columns.push_back(at[i]);
-          for (int j = 0; j < 7; ++j) S(at[i], at[j]) += J.col(i).dot(J.col(j));
-          W.row(at[i]) += J.col(i).transpose() * Jx;
+          for (int j = 0; j <= states; ++j) S(at[i], at[j]) += l.J.col(i).dot(l.J.col(j));
+          W.row(at[i]) += l.J.col(i).transpose() * l.Jx;
         }
-        const Eigen::Vector2d r(residuals[0], residuals[1]);
         const Eigen::Vector2d place = 2 * (in_.tracks[t].at_px[k].cwiseQuotient(extent).array() + 1);
         const int part = 4 * std::clamp(int(place.y()), 0, 3) + std::clamp(int(place.x()), 0, 3);
-        observed.push_back({J.transpose() * r, Jx.transpose() * r, at, {camera, part}});
-        V += Jx.transpose() * Jx;
+        observed.push_back({l.J.transpose() * l.r, l.Jx.transpose() * l.r, at, {camera, part}});
+        V += l.Jx.transpose() * l.Jx;
       }
       if (columns.empty()) continue;
       std::sort(columns.begin(), columns.end());
@@ -369,7 +421,7 @@ class Sfm {
       Eigen::VectorXd track = Eigen::VectorXd::Zero(n);
       for (const Part& o : observed) {
         Eigen::VectorXd g = -W * (V_inverse * o.gx);
-        for (int i = 0; i < 7; ++i) g[o.at[i]] += o.g[i];
+        for (std::size_t i = 0; i < o.at.size(); ++i) g[o.at[i]] += o.g[static_cast<Eigen::Index>(i)];
         track += g;
         for (const int i : columns)
           for (const int j : columns) M(i, j) -= g[i] * g[j];
@@ -380,15 +432,22 @@ class Sfm {
         for (const int j : columns) M(i, j) += track[i] * track[j];
     }
     for (const auto& [key, g] : parts) M += g * g.transpose();
+    // What is known of the lenses is a measurement whose noise is noise_px_.
+    for (int c = 0; c < in_.cameras; ++c)
+      for (int i = 1 + states * c + 6; i < 1 + states * (c + 1); ++i) {
+        S(i, i) += std::pow(noise_px_, 2);
+        M(i, i) += std::pow(noise_px_, 4);
+      }
     std::vector<int> free;
     const View &a = views_[first_], &b = views_[second_];
     int longest = 0;
     for (int i = 1; i < 3; ++i)
       if (std::abs(b.c[i] - a.c[i]) > std::abs(b.c[longest] - a.c[longest])) longest = i;
     for (int i = 0; i < n; ++i) {
-      const int camera = (i - 1) / 6;
+      const int camera = (i - 1) / states, state = (i - 1) % states;
       const bool held = i == 0 ? in_.focal_known
-                               : camera == first_ || !placed_[camera] || i == 1 + 6 * second_ + 3 + longest;
+                               : !placed_[camera] || (camera == first_ && state < 6) ||
+                                     (camera == second_ && state == 3 + longest);
       if (!held) free.push_back(i);
     }
     Eigen::MatrixXd R(free.size(), free.size()), Q = R;
@@ -409,12 +468,16 @@ class Sfm {
     out.centre_covariance = Eigen::MatrixXd::Zero(3 * in_.cameras, 3 * in_.cameras);
     for (int i = 0; i < in_.cameras; ++i)
       for (int j = 0; j < in_.cameras; ++j)
-        out.centre_covariance.block<3, 3>(3 * i, 3 * j) = all.block<3, 3>(4 + 6 * i, 4 + 6 * j);
+        out.centre_covariance.block<3, 3>(3 * i, 3 * j) = all.block<3, 3>(4 + states * i, 4 + states * j);
+    if (lenses_free_)
+      for (int i = 0; i < in_.cameras; ++i)
+        out.lens_covariance.push_back(all.block(7 + states * i, 7 + states * i, lens_states, lens_states));
     out.focal_sigma_px = std::sqrt(std::max(0.0, all(0, 0)));
   }
 
   void finish(SfmSolution& out) {
     out.focal_px = focal_;
+    out.lens = lens_;
     out.placed = placed_;
     for (const View& v : views_) out.cam_from_ref.push_back(v.pose());
     out.points = points_;
@@ -456,6 +519,9 @@ class Sfm {
   std::vector<std::vector<bool>> inlier_;
   int first_ = 0, second_ = 1;
   double huber_px_ = 1;
+  double noise_px_ = 0;  ///< of one coordinate
+  bool lenses_free_ = false;
+  std::vector<SfmSolution::LensStates> lens_;
 };
 
 }  // namespace

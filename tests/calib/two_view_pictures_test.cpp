@@ -6,6 +6,7 @@
 #include "calib/two_view/match_pictures.h"
 #include "calib/two_view/no_board.h"
 #include "calib/two_view/rectify_pair.h"
+#include "calib/two_view/refine_tracks.h"
 #include "core/error.h"
 #include "core/image_io.h"
 #include "core/json.h"
@@ -254,6 +255,89 @@ TEST_CASE("an array without a board: places to three sigma, lens known or one fo
     CHECK(std::sqrt(sum) > 0.6);
     CHECK(std::sqrt(sum) < 1.3);
   }
+}
+
+TEST_CASE("an array without a board: lenses that are known with a covariance are refined within it") {
+  SceneMaker maker(7);
+  Recording recording;
+  recording.rows = 1;
+  recording.cols = 12;
+  SfmProblem problem;
+  problem.cameras = 12;
+  problem.focal_px = 600;
+  NoBoardOptions options;
+  options.spacing_m = 0.05;
+  // fx and fy are nearly one, as a calibration finds them.
+  Eigen::Matrix4d C = Eigen::Vector4d(1.5 * 1.5, 1.5 * 1.5, 9, 9).asDiagonal();
+  C(0, 1) = C(1, 0) = 0.99 * 1.5 * 1.5;
+  const Eigen::Matrix4d root = C.llt().matrixL();
+  std::vector<Pose> truth;
+  std::vector<Camera> lenses;
+  std::vector<Eigen::Vector4d> y;
+  for (int i = 0; i < 12; ++i) {
+    const std::string name = "c" + std::to_string(i);
+    recording.cameras.push_back({name, 0, i});
+    Pose pose;
+    pose.R = rotation_from_vector(0.01 * Eigen::Vector3d(maker.uniform(), maker.uniform(), maker.uniform()));
+    pose.t = -(pose.R * Eigen::Vector3d(0.05 * i, 0.001 * maker.uniform(), 0.001 * maker.uniform()));
+    truth.push_back(pose);
+    Camera lens{name, "LENSMODEL_PINHOLE", {600, 600, 319.5, 239.5}, 640, 480, {}};
+    options.lenses.push_back(lens);
+    const Eigen::Vector2d u = maker.noise(1), v = maker.noise(1);
+    y.emplace_back(u.x(), u.y(), v.x(), v.y());
+    const Eigen::Vector4d change = root * y.back();
+    for (int k = 0; k < 4; ++k) lens.intrinsics[k] += change[k];
+    lenses.push_back(lens);
+    problem.lens_root.emplace_back(root);
+  }
+  for (int k = 0; k < 400; ++k) {
+    const double z = 1.5 + maker.uniform();
+    const Eigen::Vector3d X(0.3 + 0.5 * z * maker.uniform(), 0.4 * z * maker.uniform(), z);
+    Track t;
+    for (int i = 0; i < 12; ++i) {
+      const Eigen::Vector2d q = project(lenses[i], {truth[i] * X})[0] + maker.noise(0.1);
+      if (q.x() < 0 || q.y() < 0 || q.x() > 639 || q.y() > 479) continue;
+      t.camera.push_back(i);
+      t.at_px.push_back(600 * unproject(options.lenses[i], {q})[0].hnormalized());
+      t.by_lens.push_back(lens_slope(options.lenses[i], root, 600, t.at_px.back()));
+    }
+    if (t.camera.size() > 1) problem.tracks.push_back(t);
+  }
+  // Error of the centres after a similarity, rms in metres and in stated deviations.
+  const auto errors = [&](const SfmProblem& p) {
+    const Calibration c = calibrate_without_board(p, recording, options);
+    REQUIRE(c.solution.converged);
+    Eigen::Matrix3Xd found(3, 12), exact(3, 12);
+    for (int i = 0; i < 12; ++i) {
+      found.col(i) = c.rig.cameras[i].camera.cam_from_rig.centre();
+      exact.col(i) = truth[i].centre();
+    }
+    const Eigen::Matrix3Xd off =
+        (Eigen::umeyama(found, exact, true) * found.colwise().homogeneous()).topRows<3>() - exact;
+    double sum = 0;
+    for (int i = 0; i < 12; ++i)
+      sum += off.col(i).cwiseQuotient(c.rig.cameras[i].position_sigma_m).squaredNorm() / 36;
+    return std::pair(off.norm() / 6, std::sqrt(sum));
+  };
+  const auto [refined_m, refined_sigmas] = errors(problem);
+  SfmProblem exact = problem;
+  exact.lens_root.clear();
+  for (Track& t : exact.tracks) t.by_lens.clear();
+  const auto [fixed_m, fixed_sigmas] = errors(exact);
+  std::printf("centres: %.3f mm with lenses refined (%.2f sigma), %.3f mm with them as given (%.2f sigma)\n",
+              1e3 * refined_m, refined_sigmas, 1e3 * fixed_m, fixed_sigmas);
+  CHECK(refined_m < 0.5 * fixed_m);
+  CHECK(refined_sigmas > 0.6);
+  CHECK(refined_sigmas < 1.3);
+
+  const SfmSolution s = solve_sfm(problem, 1);
+  double sum = 0;
+  for (int i = 0; i < 12; ++i) {
+    const Eigen::Vector4d off = s.lens[i].head<4>() - y[i];
+    sum += off.dot(s.lens_covariance[i].topLeftCorner<4, 4>().ldlt().solve(off)) / 48;
+  }
+  CHECK(std::sqrt(sum) > 0.6);
+  CHECK(std::sqrt(sum) < 1.3);
 }
 
 TEST_CASE("stuv two-view: result, outputs, bad input") {
