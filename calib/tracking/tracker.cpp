@@ -60,13 +60,21 @@ constexpr double kSamePlace_px = 5;
 constexpr double kSecondView = 0.64;
 /// Independent pixels that brightness counts as in the likelihood of a particle, before and after refinement,
 /// and the part of the variance that is never explained.
-constexpr double kGlancedAt = 6, kLookedAt = 20, kLeastMisfit = 0.1;
-/// Part of the edges that must be found for them to be believed against the likeness.
-constexpr double kClear = 0.9;
+constexpr double kGlancedAt = 6, kLookedAt = 40, kLeastMisfit = 0.05;
+/// Particles nearer than this are of one mode. Neighbouring samples of an edge of which one goes wrong alike.
+constexpr double kOneMode_px = 6, kSamplesAlike = 4;
+/// Without print, a pose is not determined where rivals have more of the weight, or where its place is not
+/// known to this part of the distance or its turn to 5 degrees; and what starts must be seen for some frames
+/// to be believed.
+constexpr double kMostRivals = 0.3, kMostSigma = 0.05, kMostTurn_rad = 0.09, kSymmetry_rad = 1;
+constexpr double kPlainPart = 0.45;
+constexpr int kConfirmations = 3;
+/// An object that is this much less alike up to its rim than inside is not where its outline is taken to be.
+constexpr double kOtherRim = 0.2;
 /// Differences of likeness that say nothing.
 constexpr double kNoDifference = 0.02;
 /// A refinement that makes the object this much less like its view is not taken.
-constexpr double kWorse = 0.08;
+constexpr double kWorse = 0.04;
 /// Likeness from which alignment's answer is used.
 constexpr double kLikeEnough = 0.6;
 /// Brightness that the taught views explain less of is not the object's.
@@ -164,6 +172,8 @@ struct Tracker::State {
           {k.picture, k.cam_from_object, render_depth(model, lens, rays, k.cam_from_object, kSlack)});
       surfaces.push_back(surface_view(views.back(), model, rays, kSurfacePoints));
     }
+    if (std::all_of(surfaces.begin(), surfaces.end(), is_plain))
+      for (SurfaceView& s : surfaces) add_unseen_faces(model, s);
   }
 
   std::vector<Keyframe> normalised_keyframes(std::vector<Keyframe> taught) const {
@@ -272,7 +282,7 @@ struct Tracker::State {
                Measured& out) const {
     out.samples = sample_edges(model, lens, pose, options.spacing_px, kSlack);
     match_edges(gradient, range, options.least_cosine, out.samples);
-    out.looks = looks(pose, 1);
+    out.looks = looks(pose, 0);
     out.log_weight = log_likelihood(summarise(out.samples), range, options.likelihood) +
                      texture_likelihood(pose) + log_looks(out.looks, pixels);
   }
@@ -288,9 +298,6 @@ struct Tracker::State {
     return -HypothesisOptions{}.lambda_c * (1 - inliers / static_cast<double>(texture_points.size()));
   }
 
-  /// Where nearly all edges are found no clutter is among them.
-  static bool are_clear(const MatchSummary& edges) { return edges.matched >= kClear * edges.visible; }
-
   void refine_one(const GradientPicture& gradient, const Pose& pose, Measured& m) const {
     RefineOptions how;
     how.iterations = options.refine_iterations;
@@ -304,7 +311,7 @@ struct Tracker::State {
     if (!options.reweigh) return void(m.log_weight = weight);
     measure(gradient, m.refined, near_px, kLookedAt, m);
     // Clutter's edges may lead away from a place that looks right: then only near ones, or none.
-    if (m.looks >= looked - kWorse || are_clear(summarise(m.samples))) return;
+    if (m.looks >= looked - kWorse) return;
     measure(gradient, pose, near_px, kLookedAt, m);
     const Measured unmoved = m;
     refine_from(pose);
@@ -344,12 +351,30 @@ struct Tracker::State {
     std::vector<Pose> poses;
     std::vector<double> w;
     for (std::size_t i = 0; i < particles.size(); ++i) {
-      if (weights[i] <= 0 || distance_px(particles[best].pose, particles[i].pose, lens.focal_px()) > 6)
-        continue;
+      if (weights[i] <= 0 || !is_same_mode(particles[best].pose, particles[i].pose)) continue;
       poses.push_back(particles[i].pose);
       w.push_back(weights[i]);
     }
     return mean(poses, w);
+  }
+
+  /// Part of the weight that is not around the most likely particle, if one judges less sharply: the weights
+  /// take neighbouring samples for independent, which in clutter they are not.
+  double rival_weight() const {
+    const auto& best =
+        *std::max_element(particles.begin(), particles.end(),
+                          [](const auto& a, const auto& b) { return a.log_weight < b.log_weight; });
+    double all = 0, elsewhere = 0;
+    for (const Particle& p : particles) {
+      const double w = std::exp((p.log_weight - best.log_weight) / kSamplesAlike);
+      all += w;
+      if (!is_same_mode(best.pose, p.pose)) elsewhere += w;
+    }
+    return elsewhere / all;
+  }
+
+  bool is_same_mode(const Pose& a, const Pose& b) const {
+    return distance_px(a, b, lens.focal_px()) <= kOneMode_px;
   }
 
   int wanted_particles(const std::vector<double>& weights) const {
@@ -530,10 +555,12 @@ struct Tracker::State {
     // Plain faces pull the pose inwards, away from the background, and nothing pulls it out.
     if (!better.converged || !(likeness_at(better.cam_from_object, 1, kSurfacePoints).print > kLikeEnough))
       return {};
-    // Where most edges are found they are right, and tell the pose better; else many of them are clutter's.
-    const double missing = std::min(2.0, double(edges.visible - edges.matched) / std::max(1, edges.matched));
+    // Brightness counts in full however many edges are found, as those found may be a grid's; and for more
+    // where few are.
+    const double missing = double(edges.visible - edges.matched) / std::max(1, edges.matched);
+    const double trust = std::clamp(missing, 1.0, 2.0);
     return {better.cam_from_object,
-            missing * kPointWeight * kModelError_px * kModelError_px * better.information};
+            trust * kPointWeight * kModelError_px * kModelError_px * better.information};
   }
 
   Refined polish(const GradientPicture& gradient, const Grey& frame, Pose pose, TrackedFrame& out) const {
@@ -544,7 +571,7 @@ struct Tracker::State {
     Refined r;
     std::vector<PointMatch> points;
     PosePrior by_looks;
-    double looked = looks(pose, 1);
+    double looked = looks(pose, 0);
     for (const double range : {6.0, 3.0, 3.0}) {
       std::vector<EdgeSample> samples = sample_edges(model, lens, pose, options.spacing_px / 2, kSlack);
       match_edges(gradient, range, options.least_cosine, samples);
@@ -555,18 +582,15 @@ struct Tracker::State {
       how.c_px = range / 2;
       r = refine(samples, points, lens, pose, how, by_looks);
       // Clutter's edges may lead away from a place that looks right.
-      const double looks_now = looks(r.cam_from_object, 1);
-      samples = sample_edges(model, lens, r.cam_from_object, options.spacing_px / 2, kSlack);
-      match_edges(gradient, options.lost_px, options.least_cosine, samples);
-      const MatchSummary edges = summarise(samples);
-      if (looks_now < looked - kWorse && !are_clear(edges)) r.cam_from_object = pose;
+      const double looks_now = looks(r.cam_from_object, 0);
+      if (looks_now < looked - kWorse) r.cam_from_object = pose;
       looked = std::max(looked, looks_now);
       pose = r.cam_from_object;
     }
     out.texture_points = static_cast<int>(points.size());
     out.correlation = correlation_at(frame, pose);
     if (!surfaces.empty()) {
-      const Likeness l = likeness_at(pose, 1, kSurfacePoints);
+      const Likeness l = likeness_at(pose, 0, kSurfacePoints);
       out.print = l.print;
       out.fit = l.fit;
       out.likeness = l.whole;
@@ -598,10 +622,12 @@ struct Tracker::State {
 
   bool is_lost(const TrackedFrame& f) const {
     if (f.edges.visible < 6) return true;
+    if (f.print - f.correlation > kOtherRim) return true;
     if (f.print > kSamePrint) return false;
     if (f.print < kOtherPrint) return true;
     // Plain faces are told by little else than that the background's pattern is not on them.
     const bool is_plain = std::isnan(f.print);
+    if (is_plain && !surfaces.empty() && !has_taught_size(estimate)) return true;
     if (f.fit < (is_plain ? kPlainFit : kLeastFit)) return true;
     // A start comes from a taught view, which must then be there to compare with; but not far from where it
     // was last seen a plain face that fits is the same object still.
@@ -735,6 +761,7 @@ struct Tracker::State {
       }
     }
     estimate_now = mean_pose(weights);
+    out.rivals = rival_weight();
     for (std::size_t i = 0; i < particles.size(); ++i)
       particles[i].velocity = out.initialised
                                   ? Twist(Twist::Zero())
@@ -765,16 +792,37 @@ struct Tracker::State {
       if (options.filter ? !predict(frame, start + 1 == kStarts, out) : !predict_alone(gradient, frame, out))
         return out;
       estimate_pose(gradient, frame, out);
-      if (!out.lost || !out.initialised) break;
+      if (!lost || !out.initialised) break;
     }
     if (options.filter && !out.initialised && !lost && is_doubtful(out))
       out = second_opinion(gradient, frame, out);
     if (!lost)
       usual_deviation =
           usual_deviation > 0 ? 0.9 * usual_deviation + 0.1 * out.deviation_px : out.deviation_px;
-    if (!lost) good_particles = particles, good_estimate = estimate;
-    frames_lost = lost ? frames_lost + 1 : 0;
+    out.lost = lost || !is_certain(out);
+    if (!out.lost) good_particles = particles, good_estimate = estimate;
+    frames_lost = out.lost ? frames_lost + 1 : 0;
     return out;
+  }
+
+  /// Whether the estimate's standard deviations are small enough for a pose. A turn that is not known at all
+  /// is an object's symmetry, not an error.
+  bool determines(const Matrix6& covariance) const {
+    const double place = std::sqrt(covariance.topLeftCorner<3, 3>().trace());
+    const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> turns(covariance.bottomRightCorner<3, 3>(),
+                                                               Eigen::EigenvaluesOnly);
+    const Eigen::Array3d turn = turns.eigenvalues().array().max(0).sqrt();
+    return place <= kMostSigma * estimate.t.norm() && (turn <= kMostTurn_rad || turn > kSymmetry_rad).all();
+  }
+
+  /// Whether a pose that is followed is also to be relied on. An object without print is told from its
+  /// surroundings by its edges only, so there must be enough of them and nothing else that fits; and its
+  /// start is believed after some frames, as wrong ones seldom last.
+  bool is_certain(const TrackedFrame& f) {
+    frames_seen = lost || f.initialised ? 0 : frames_seen + 1;
+    if (surfaces.empty() || !std::isnan(f.print)) return true;
+    return frames_seen >= kConfirmations && f.rivals <= kMostRivals && is_determined &&
+           f.edges.matched >= kPlainPart * f.edges.visible;
   }
 
   /// The residuals are much larger than they have been: perhaps a local minimum that looks nearly right.
@@ -800,7 +848,7 @@ struct Tracker::State {
       restart(std::move(fresh));
       second.initialised = true;
       estimate_pose(gradient, frame, second);
-      if (!second.lost && second.deviation_px < 0.7 * first.deviation_px) return second;
+      if (!lost && second.deviation_px < 0.7 * first.deviation_px) return second;
     }
     particles = first_particles;
     estimate = first_estimate;
@@ -825,10 +873,12 @@ struct Tracker::State {
     estimate = r.cam_from_object;
     known = out.has_pose = true;
     out.deviation_px = r.deviation_px;
-    out.covariance = norm.covariance_back(covariance_of(r));
+    const Matrix6 covariance = covariance_of(r);
+    is_determined = determines(covariance);
+    out.covariance = norm.covariance_back(covariance);
     out.cam_from_object = norm.back(estimate);
-    lost = out.lost = is_lost(out) || (was_tracked && distance_px(last, estimate, lens.focal_px()) >
-                                                          kMostJump * options.search_px);
+    lost = is_lost(out) ||
+           (was_tracked && distance_px(last, estimate, lens.focal_px()) > kMostJump * options.search_px);
   }
 
   /// Without the filter: IRLS from the last pose, the method that the paper compares with.
@@ -874,8 +924,9 @@ struct Tracker::State {
   Pose estimate, estimate_now, good_estimate;
   Twist drift = Twist::Zero();
   bool known = false, lost = false;
-  double usual_deviation = 0;  ///< running mean of deviation_px; 0: none yet
-  int frames_lost = 0;
+  double usual_deviation = 0;            ///< running mean of deviation_px; 0: none yet
+  bool is_determined = false;            ///< the estimate, by its own covariance
+  int frames_lost = 0, frames_seen = 0;  ///< since it was last believed; since it started
   std::uint64_t frame_number = 0;
 };
 
@@ -892,6 +943,7 @@ void Tracker::start(const Pose& cam_from_object) {
   state_->estimate = p.pose;
   state_->known = true;
   state_->lost = false;
+  state_->frames_seen = kConfirmations;
 }
 
 TrackedFrame Tracker::track(const Grey& frame) {
