@@ -4,19 +4,22 @@
 #include <cmath>
 #include <limits>
 #include <opencv2/imgproc.hpp>
+#include <optional>
 #include <random>
 
 namespace stuv::tracking {
 namespace {
 
-/// Cosine of the steepest slant at which a surface is compared: 75 degrees.
-constexpr double kLeastSlant = 0.26;
+/// Cosine of the steepest slant at which a surface is taught, 75 degrees, and compared: 87 degrees. A side
+/// that is seen steeply says that the background is not there.
+constexpr double kLeastSlant = 0.26, kLeastSeen = 0.05;
 /// Least standard deviation of a view's brightness, and of the print on its faces [grey levels].
 constexpr double kLeastContrast = 2.5, kLeastPrint = 5;
 /// Differences in brightness below this are no pattern [grey levels]; gains of the exposure that are fitted.
 constexpr double kPattern = 10, kLeastGain = 0.4, kMostGain = 2.5;
-/// How far inside the outline points lie, as part of the object's size, and at most [px].
-constexpr double kInside = 0.04, kMostInside_px = 4;
+/// How far inside the outline points lie, as part of the object's size, and at most [px]: where the outline
+/// is off by more than a little, points near it see the background.
+constexpr double kInside = 0.04, kMostInside_px = 2;
 /// Points that must face the camera, and as part of all.
 constexpr int kLeastPoints = 30;
 constexpr double kLeastPart = 1.0 / 3;
@@ -62,9 +65,12 @@ bool sample(const ImageF& picture, const Eigen::Vector2d& q, float& value) {
   return sample([&](int y) { return picture.row(y); }, picture.width, picture.height, q.x(), q.y(), value);
 }
 
-bool faces(const SurfaceView::Point& p, const Eigen::Vector3d& eye) {
+/// How near to the outline the background is mixed in: coarser levels are smoother.
+double margin_px(const SurfaceView& view, int level) { return (1 + level) * view.inside_px; }
+
+bool faces(const SurfaceView::Point& p, const Eigen::Vector3d& eye, double least) {
   const Eigen::Vector3d ray = eye - p.x;
-  return p.n.dot(ray) > kLeastSlant * ray.norm();
+  return p.n.dot(ray) > least * ray.norm();
 }
 
 struct Sums {
@@ -91,6 +97,40 @@ struct Moments {
   }
 };
 
+/// In an order that is the same for the same number of points.
+void shuffle(std::vector<SurfaceView::Point>& points) {
+  std::mt19937 random(1);
+  for (std::size_t i = points.size(); i > 1; --i) std::swap(points[i - 1], points[random() % i]);
+}
+
+/// The face's normal, away from the object, if all of the object lies behind the face.
+std::optional<Eigen::Vector3d> outward(const ObjectModel& model, std::size_t face, double slack) {
+  double least = 0, most = 0;
+  for (const Eigen::Vector3d& v : model.vertices) {
+    const double d = model.face_normals[face].dot(v - model.face_points[face]);
+    least = std::min(least, d), most = std::max(most, d);
+  }
+  if (most < slack) return model.face_normals[face];
+  if (least > -slack) return -model.face_normals[face];
+  return {};
+}
+
+/// Points of a triangle, `spacing` apart, copies of `like` but for their place.
+void add_grid(const ObjectModel& model, const std::array<int, 3>& triangle, double spacing,
+              SurfaceView::Point like, std::vector<SurfaceView::Point>& out) {
+  const Eigen::Vector3d &a = model.vertices[triangle[0]], along = model.vertices[triangle[1]] - a,
+                        across = model.vertices[triangle[2]] - a;
+  const Eigen::Vector3d u = along.normalized(), up = across - across.dot(u) * u;
+  const double height = up.norm();
+  for (double y = 0.5 * spacing; y < height; y += spacing) {
+    const double part = y / height, first = part * across.dot(u), width = (1 - part) * along.norm();
+    for (double x = 0.5 * spacing; x < width; x += spacing) {
+      like.x = a + (first + x) * u + part * up;
+      out.push_back(like);
+    }
+  }
+}
+
 /// One row of the normal equations: derivative by twist, gain, offset; residual.
 struct Row {
   Twist J;
@@ -111,11 +151,16 @@ bool collect(const SurfaceView& view, const SmoothPyramid& picture, int level, c
   const ImageF& frame = picture.levels[level];
   const double scale = 1.0 / (1 << level);
   const Eigen::Vector3d eye = pose.centre();
+  const Outline outline(view.edges, lens, pose);
+  const double margin = margin_px(view, level);
   Eigen::Vector2d q;
   Eigen::Matrix<double, 2, 3> by_point;
+  std::size_t seen = 0;
   for (std::size_t j = 0; j < view.points.size(); j += stride) {
     const SurfaceView::Point& p = view.points[j];
-    if (!faces(p, eye) || !lens.project(pose * p.x, q, &by_point)) continue;
+    if (!faces(p, eye, kLeastSeen) || !lens.project(pose * p.x, q, &by_point)) continue;
+    ++seen;
+    if (outline.is_near(q, margin)) continue;
     q *= scale;
     float value, left, right, up, down;
     if (!sample(frame, q, value) || !sample(frame, q - Eigen::Vector2d(1, 0), left) ||
@@ -133,9 +178,8 @@ bool collect(const SurfaceView& view, const SmoothPyramid& picture, int level, c
     row.view = number;
     rows.push_back(row);
   }
-  const std::size_t added = rows.size() - before;
-  if (added >= kLeastPoints &&
-      static_cast<double>(added * stride) > kLeastPart * static_cast<double>(view.points.size()))
+  if (rows.size() - before >= kLeastPoints &&
+      static_cast<double>(seen * stride) > kLeastPart * static_cast<double>(view.points.size()))
     return true;
   rows.resize(before);
   return false;
@@ -234,6 +278,7 @@ SmoothPyramid smooth_pyramid(const Grey& picture) {
 SurfaceView surface_view(const TexturedView& view, const ObjectModel& model, const ImageF& rays, int most) {
   SurfaceView out;
   out.cam_from_object = view.cam_from_object;
+  out.edges = outline_edges(model);
   const DepthPatch& patch = view.depth;
   const int width = patch.depth.width, height = patch.depth.height;
   if (width < 3 || height < 3) return out;
@@ -247,6 +292,7 @@ SurfaceView surface_view(const TexturedView& view, const ObjectModel& model, con
         if (std::isfinite(patch.depth.at(x, y))) there.at<std::uint8_t>(y, x) = 255;
     const double size = std::sqrt(static_cast<double>(cv::countNonZero(there)));
     const int by = static_cast<int>(std::lround(std::clamp(kInside * size, 1.0, kMostInside_px)));
+    out.inside_px = by;
     cv::erode(there, inside, cv::Mat::ones(2 * by + 1, 2 * by + 1, CV_8U), {-1, -1}, 1, cv::BORDER_CONSTANT,
               cv::Scalar(0));
   }
@@ -270,7 +316,7 @@ SurfaceView surface_view(const TexturedView& view, const ObjectModel& model, con
       p.x = object_from_cam * (double(patch.depth.at(x, y)) * Eigen::Vector3d(ray[0], ray[1], 1));
       p.n = model.face_normals[face];
       if (p.n.dot(eye - p.x) < 0) p.n = -p.n;
-      if (!faces(p, eye)) continue;
+      if (!faces(p, eye, kLeastSlant)) continue;
       bool known = true;
       for (int l = 0; l < SmoothPyramid::count && known; ++l) {
         const double scale = 1.0 / (1 << l), qx = scale * (x + patch.x0), qy = scale * (y + patch.y0);
@@ -281,13 +327,37 @@ SurfaceView surface_view(const TexturedView& view, const ObjectModel& model, con
         p.value[l] = known ? sum / weight : 0;
       }
       if (!known) continue;
-      if (face_number[face] < 0) face_number[face] = out.faces++;
+      if (face_number[face] < 0) face_number[face] = out.faces++, out.face_of.push_back(face);
       p.face = face_number[face];
       out.points.push_back(p);
     }
-  std::mt19937 random(1);
-  for (std::size_t i = out.points.size(); i > 1; --i) std::swap(out.points[i - 1], out.points[random() % i]);
+  out.spacing = step * std::abs(rays.at(1, 0) - rays.at(0, 0)) * out.cam_from_object.t.z();
+  shuffle(out.points);
   return out;
+}
+
+bool is_plain(const SurfaceView& view) {
+  std::vector<Sums> by_face(static_cast<std::size_t>(view.faces));
+  for (const SurfaceView::Point& p : view.points) by_face[p.face].add(p.value[1], p.value[1]);
+  Moments print;
+  for (const Sums& s : by_face) print.add(s);
+  return !(print.aa > kLeastPrint * kLeastPrint * static_cast<double>(view.points.size()));
+}
+
+void add_unseen_faces(const ObjectModel& model, SurfaceView& view) {
+  const double slack = 1e-3 * model.radius();
+  std::vector<bool> known(model.face_normals.size());
+  for (const int face : view.face_of) known[face] = true;
+  for (std::size_t f = 0; f < model.face_normals.size(); ++f) {
+    if (known[f]) continue;
+    const auto out = outward(model, f, slack);
+    if (!out) continue;
+    for (std::size_t t = 0; t < model.triangles.size(); ++t)
+      if (model.face_of_triangle[t] == static_cast<int>(f))
+        add_grid(model, model.triangles[t], view.spacing, {{}, *out, view.unseen_faces, {}}, view.unseen);
+    ++view.unseen_faces;
+  }
+  shuffle(view.unseen);
 }
 
 Likeness likeness(const SurfaceView& view, const SmoothPyramid& picture, int level, const Lens& lens,
@@ -298,20 +368,40 @@ Likeness likeness(const SurfaceView& view, const SmoothPyramid& picture, int lev
   const std::size_t count = std::min(view.points.size(), static_cast<std::size_t>(std::max(0, most)));
   std::vector<Sums> by_face(static_cast<std::size_t>(view.faces));
   Sums whole;
+  const Outline outline(view.edges, lens, pose);
+  const double margin = margin_px(view, level);
+  std::size_t seen = 0;
   Eigen::Vector2d q;
   for (std::size_t j = 0; j < count; ++j) {
     const SurfaceView::Point& p = view.points[j];
     float value;
-    if (!faces(p, eye) || !lens.project(pose * p.x, q) || !sample(frame, scale * q, value)) continue;
+    if (!faces(p, eye, kLeastSeen) || !lens.project(pose * p.x, q) || !sample(frame, scale * q, value))
+      continue;
+    ++seen;
+    if (outline.is_near(q, margin)) continue;
     by_face[p.face].add(p.value[level], value);
     whole.add(p.value[level], value);
   }
   constexpr double nan = std::numeric_limits<double>::quiet_NaN();
-  if (whole.n < kLeastPoints || whole.n < kLeastPart * static_cast<double>(count)) return {nan, nan, nan};
+  std::vector<Sums> by_unseen(static_cast<std::size_t>(view.unseen_faces));
+  // As many of these in proportion.
+  const std::size_t count_unseen = count * view.unseen.size() / std::max<std::size_t>(1, view.points.size());
+  for (std::size_t j = 0; j < std::min(count_unseen, view.unseen.size()); ++j) {
+    const SurfaceView::Point& p = view.unseen[j];
+    float value;
+    if (faces(p, eye, kLeastSeen) && lens.project(pose * p.x, q) && sample(frame, scale * q, value) &&
+        !outline.is_near(q, margin))
+      by_unseen[p.face].add(0, value);
+  }
+  if (whole.n < kLeastPoints || static_cast<double>(seen) < kLeastPart * static_cast<double>(count))
+    return {nan, nan, nan};
   Moments all, print;
   all.add(whole);
   for (const Sums& s : by_face) print.add(s);
-  return {all.fit(whole.n), all.correlation(whole.n, kLeastContrast),
+  Moments with_unseen = all;
+  double n = whole.n;
+  for (const Sums& s : by_unseen) with_unseen.add(s), n += s.n;
+  return {with_unseen.fit(n), all.correlation(whole.n, kLeastContrast),
           print.correlation(whole.n, kLeastPrint)};
 }
 

@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "calib/tracking/measurement.h"
+#include "calib/tracking/outline.h"
 #include "calib/tracking/texture.h"
 
 namespace stuv::tracking {
@@ -27,17 +28,36 @@ struct SurfaceView {
   Pose cam_from_object;
   std::vector<Point> points;  ///< in an order such that the first few are spread over all of the object
   int faces = 0;
+  std::vector<int> face_of;  ///< the model's number of each face
+  double spacing = 0;        ///< between points, of the object's lengths
+  /// Points of faces that the view does not show, without `value`; `face` counts these faces from 0.
+  std::vector<Point> unseen;
+  int unseen_faces = 0;
+  std::vector<OutlineEdge> edges;  ///< of the model
+  double inside_px = 0;            ///< how far inside the outline points lie
 };
 
 /// At most `most` points, evenly over the part of the object that the view sees no more than 75 degrees
-/// slanted, a little inside the outline: blur mixes the background in there.
+/// slanted, `inside_px` inside the outline: blur mixes the background in there.
 SurfaceView surface_view(const TexturedView& view, const ObjectModel& model, const ImageF& rays, int most);
 
+/// Whether the view's faces show no print: nothing but their brightness.
+bool is_plain(const SurfaceView& view);
+
+/// Fills `unseen`, about as dense as `points`, from the faces that nothing of the object can hide because all
+/// of it lies behind them. For an object of which every taught view is plain: its other faces are then taken
+/// to be plain as well, of a brightness that is not known. Without them a pose that lays such a face over the
+/// background would be as good as one that does not.
+void add_unseen_faces(const ObjectModel& model, SurfaceView& view);
+
 /// How a picture looks where the surface's points fall: zero-mean normalised correlation with what the view
-/// shows there, over the points that face the camera.
+/// shows there, over the points that face the camera and lie `inside_px` (on coarser levels two and three
+/// times that) inside its outline from there, too: what was well inside the object where it was taught may be
+/// its rim now.
 struct Likeness {
   /// 1 - (mean square of I - a T - b) / max(var I, a^2 var T, 10^2), the gain a within 0.4 .. 2.5: a plain
-  /// side is like any plain place, but not like one with a pattern. NaN: too few points.
+  /// side is like any plain place, but not like one with a pattern. Each unseen face has a T of its own that
+  /// fits. NaN: too few points.
   double fit = 0;
   double whole = 0;  ///< NaN: too few points (a third of them, or 30) or a view without contrast
   double print = 0;  ///< with each face's mean taken away, so of the print alone; NaN: plain faces

@@ -59,6 +59,7 @@ struct TrackedFrame {
   double fit =
       std::numeric_limits<double>::quiet_NaN();  ///< part of the brightness that taught views explain
   double print = std::numeric_limits<double>::quiet_NaN();  ///< of each face apart; NaN: not known, or plain
+  double rivals = 0;  ///< weight of the poses elsewhere that explain the picture nearly as well, 0 .. 1
   StageSeconds seconds;
 };
 

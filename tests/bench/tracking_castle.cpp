@@ -102,11 +102,11 @@ int main(int argc, char** argv) {
       if (number("verbose", 0) > 0)
         fmt::print(
             "{:3} {:6.2f} mm {:5.2f} deg  lost {}  init {} n_eff {:5.1f} edges {}/{} {:.2f} px  texture {} "
-            "corr {:.2f} fit {:.2f} print {:.2f} sigma "
+            "corr {:.2f} fit {:.2f} print {:.2f} rivals {:.2f} sigma "
             "{:.2f} px, {:.2f} mm {:.2f} deg, {:.1f} ms (g {:.1f} k {:.1f} t {:.1f} f {:.1f} e {:.1f})\n",
             i, 1e3 * dt, dr, f.lost, f.initialised, f.n_eff, f.edges.matched, f.edges.visible,
-            f.edges.mean_distance_px, f.texture_points, f.correlation, f.fit, f.print, f.deviation_px,
-            1e3 * std::sqrt(f.covariance.topLeftCorner<3, 3>().trace()),
+            f.edges.mean_distance_px, f.texture_points, f.correlation, f.fit, f.print, f.rivals,
+            f.deviation_px, 1e3 * std::sqrt(f.covariance.topLeftCorner<3, 3>().trace()),
             180 / M_PI * std::sqrt(f.covariance.bottomRightCorner<3, 3>().trace()), 1e3 * f.seconds.total,
             1e3 * f.seconds.gradient, 1e3 * f.seconds.keypoints, 1e3 * f.seconds.texture,
             1e3 * f.seconds.filter, 1e3 * f.seconds.estimate);

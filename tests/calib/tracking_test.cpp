@@ -128,6 +128,78 @@ TEST_CASE("tracking: the brightness of a taught view tells how alike a pose look
   CHECK_FALSE(align(views, pyramid, 2, lens, aside, spread).converged);
 }
 
+TEST_CASE("tracking: the outline of a box is where a face seen meets one not seen, and nothing else") {
+  const Bench bench;
+  const tracking::Lens lens(bench.camera);
+  const std::vector<OutlineEdge> edges = outline_edges(bench.scene.model);
+  CHECK(edges.size() == 12);
+  for (const double turn : {0.0, 0.3, -0.4}) {
+    const Pose pose = view_of(0.45, turn, 0.4);
+    const Outline outline(edges, lens, pose);
+    // Against the plain definition: the rim of what the pixels' rays hit.
+    const DepthPatch patch = render_depth(bench.scene.model, lens, rays_of(bench.camera), pose, 1e-3);
+    for (int y = 2; y + 2 < patch.depth.height; y += 3)
+      for (int x = 2; x + 2 < patch.depth.width; x += 3) {
+        int hit = 0;
+        for (int dy = -2; dy <= 2; ++dy)
+          for (int dx = -2; dx <= 2; ++dx) hit += std::isfinite(patch.depth.at(x + dx, y + dy)) ? 1 : 0;
+        const Eigen::Vector2d q(x + patch.x0, y + patch.y0);
+        if (hit > 0 && hit < 25) CHECK(outline.is_near(q, 4));
+        if (hit == 25) CHECK_FALSE(outline.is_near(q, 1));
+      }
+  }
+}
+
+TEST_CASE("tracking: a side that turns away does not lend the background's brightness to the object") {
+  Bench bench;
+  bench.scene.cluttered = true;
+  const tracking::Lens lens(bench.camera);
+  const ImageF rays = rays_of(bench.camera);
+  const Keyframe& k = bench.keyframes[0];
+  const TexturedView view{k.picture, k.cam_from_object,
+                          render_depth(bench.scene.model, lens, rays, k.cam_from_object, 1e-3)};
+  const SurfaceView surface = surface_view(view, bench.scene.model, rays, 1200);
+  // Ever less of the box's sides is seen, until only its front is.
+  for (const double turn : {0.3, 0.2, 0.1, 0.0}) {
+    const Pose pose = view_of(0.45, turn, turn);
+    const Likeness found = likeness(surface, smooth_pyramid(bench.look(pose)), 0, lens, pose, 1200);
+    INFO("turned by " << turn);
+    CHECK(found.print > 0.97);
+  }
+}
+
+TEST_CASE(
+    "tracking: the untaught sides of a plain object are to be plain, so the background is none of them") {
+  Bench bench;
+  bench.scene.texture = 0;
+  bench.scene.cluttered = true;
+  const tracking::Lens lens(bench.camera);
+  const ImageF rays = rays_of(bench.camera);
+  const Pose taught = view_of(0.45, 0, 0);
+  const TexturedView view{bench.look(taught), taught,
+                          render_depth(bench.scene.model, lens, rays, taught, 1e-3)};
+  SurfaceView surface = surface_view(view, bench.scene.model, rays, 1200);
+  REQUIRE(surface.faces == 1);
+  CHECK(is_plain(surface));
+  // Turned about an edge of the front: this stays where the front is, and a side would show beside it, where
+  // the background is.
+  const Pose turn = tracking::exp(twist_of({0, 0, 0}, {0, -0.35, 0}));
+  const Eigen::Vector3d edge(-0.06, 0, -0.035);
+  const Pose wrong = taught * Pose{turn.R, edge - turn.R * edge};
+  const SmoothPyramid picture = smooth_pyramid(bench.look(taught));
+  const double before = likeness(surface, picture, 0, lens, wrong, 1200).fit;
+  add_unseen_faces(bench.scene.model, surface);
+  CHECK(surface.unseen_faces == 5);
+  CHECK(likeness(surface, picture, 0, lens, wrong, 1200).fit < before - 0.1);
+  CHECK(likeness(surface, picture, 0, lens, taught, 1200).fit > 0.9);
+  // Where the side is really seen it is like any plain side.
+  CHECK(likeness(surface, smooth_pyramid(bench.look(wrong)), 0, lens, wrong, 1200).fit > 0.9);
+  CHECK_FALSE(is_plain(
+      surface_view({bench.keyframes[0].picture, bench.keyframes[0].cam_from_object,
+                    render_depth(bench.scene.model, lens, rays, bench.keyframes[0].cam_from_object, 1e-3)},
+                   bench.scene.model, rays, 1200)));
+}
+
 TEST_CASE("tracking: exp and log are inverse, also near 0 and near pi, and match the power series") {
   for (const double angle :
        {0.0, 1e-12, 1e-8, 1e-5, 9.99e-4, 1.001e-3, 0.1, 1.0, 3.0, 3.1415, std::numbers::pi - 1e-9}) {
