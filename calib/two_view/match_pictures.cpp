@@ -196,15 +196,27 @@ Matches guided_matches(const Features& a, const Features& b, const Eigen::Matrix
       mutual(nearest_in_band(a, b, F, band_px), nearest_in_band(b, a, F.transpose(), band_px), ratio), a, b);
 }
 
+namespace {
+
+/// A detector gives one place several features, one an orientation. Their matches are one match: unlike those
+/// of a list that says a match twice, they are no second opinion, and are not counted as one.
+Matches each_once(const Matches& matches) {
+  Matches once;
+  for (const int i : distinct_matches(matches)) once.push_back(matches[i]);
+  return once;
+}
+
+}  // namespace
+
 MatchedPair match_and_estimate(const Features& a, const Features& b, const TwoViewOptions& options) {
   constexpr int kMostRounds = 5;
   MatchedPair found;
-  found.matches = match_features(a, b);
+  found.matches = each_once(match_features(a, b));
   found.estimate = estimate_two_view(found.matches, options);
   for (int round = 0; round < kMostRounds && found.estimate.status == TwoViewStatus::ok; ++round) {
     const double band_px = std::max(1.5, 3 * found.estimate.ml.noise_px);
     MatchedPair next;
-    next.matches = guided_matches(a, b, found.estimate.ml.F, band_px);
+    next.matches = each_once(guided_matches(a, b, found.estimate.ml.F, band_px));
     next.estimate = estimate_two_view(next.matches, options);
     if (next.estimate.status != TwoViewStatus::ok || next.estimate.inliers <= found.estimate.inliers) break;
     found = std::move(next);
