@@ -25,10 +25,10 @@ PosePrior Tracker::State::prior_by_looks(const Pose& pose, const MatchSummary& e
   if (!better.converged ||
       !(taught.likeness_at(better.cam_from_object, 1, kSurfacePoints).print > kLikeEnough))
     return {};
-  // Brightness counts in full however many edges are found, as those found may be a grid's; and for more
-  // where few are.
+  // Where most edges are found they tell the pose better; else many of those found may be clutter's. Whether
+  // they are a grid's, the likeness says.
   const double missing = double(edges.visible - edges.matched) / std::max(1, edges.matched);
-  const double trust = std::clamp(missing, 1.0, 2.0);
+  const double trust = std::min(2.0, missing);
   return {better.cam_from_object,
           trust * kPointWeight * kModelError_px * kModelError_px * better.information};
 }
