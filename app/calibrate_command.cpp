@@ -152,8 +152,8 @@ NoBoardOptions no_board_options(const Flags& flags) {
   options.spacing_m = flags.spacing_m;
   if (!options.distance && !(options.spacing_m > 0))
     throw UsageError("--no-board wants a scale: --spacing-m or --distance");
-  if (!flags.lenses.empty())
-    for (const RigCamera& rc : read_rig(flags.lenses).cameras) options.lenses.push_back(rc.camera);
+  if (flags.lenses.empty()) return options;
+  for (const RigCamera& rc : read_rig(flags.lenses).cameras) options.lenses.push_back(rc.camera);
   options.lens_covariance = stated_lens_covariances(flags.lenses, options.lenses);
   return options;
 }

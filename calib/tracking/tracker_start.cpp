@@ -153,9 +153,7 @@ bool Tracker::State::predict_alone(const GradientPicture& gradient, const Grey& 
   if (!particles_from_keypoints(frame, options.particles, fresh))
     return known && (estimate_now = estimate, true);
   out.initialised = true;
-  std::vector<Pose> poses;
-  for (const Particle& p : fresh) poses.push_back(p.pose);
-  estimate_now = poses.front();
+  estimate_now = fresh.front().pose;
   return true;
 }
 

@@ -19,7 +19,7 @@ lists = rest[:rest.index('--')], rest[rest.index('--') + 1:]
 seen = {}
 for line in open(corners_file):
     words = line.split()
-    if words[0] == '#' or words[1] == '-' and len(words) < 3:
+    if words[0] == '#':
         continue
     place = re.search(r'Position(\w+)_Camera(\w+)\.png', words[0]).groups()
     seen.setdefault(place, []).append([np.nan if w == '-' else float(w) for w in words[1:3]])

@@ -67,6 +67,13 @@ struct Bench {
   }
 };
 
+SurfaceView taught_surface(const Bench& bench, const Keyframe& k, const tracking::Lens& lens) {
+  const ImageF rays = rays_of(bench.camera);
+  const TexturedView view{k.picture, k.cam_from_object,
+                          render_depth(bench.scene.model, lens, rays, k.cam_from_object, 1e-3)};
+  return surface_view(view, bench.scene.model, rays, 1200);
+}
+
 /// Visible parts longer than the slack.
 int long_parts(const ObjectModel& model, const Pose& pose) {
   int parts = 0;
@@ -83,11 +90,8 @@ Pose path(double i, double scale = 1) {
 TEST_CASE("tracking: the brightness of a taught view tells how alike a pose looks, and leads to it") {
   const Bench bench;
   const tracking::Lens lens(bench.camera);
-  const ImageF rays = rays_of(bench.camera);
   const Keyframe& k = bench.keyframes[0];
-  const TexturedView view{k.picture, k.cam_from_object,
-                          render_depth(bench.scene.model, lens, rays, k.cam_from_object, 1e-3)};
-  const SurfaceView surface = surface_view(view, bench.scene.model, rays, 1200);
+  const SurfaceView surface = taught_surface(bench, k, lens);
   CHECK(surface.points.size() > 300);
   CHECK(surface.points.size() <= 1200);
   CHECK(surface.faces >= 2);
@@ -154,11 +158,7 @@ TEST_CASE("tracking: a side that turns away does not lend the background's brigh
   Bench bench;
   bench.scene.cluttered = true;
   const tracking::Lens lens(bench.camera);
-  const ImageF rays = rays_of(bench.camera);
-  const Keyframe& k = bench.keyframes[0];
-  const TexturedView view{k.picture, k.cam_from_object,
-                          render_depth(bench.scene.model, lens, rays, k.cam_from_object, 1e-3)};
-  const SurfaceView surface = surface_view(view, bench.scene.model, rays, 1200);
+  const SurfaceView surface = taught_surface(bench, bench.keyframes[0], lens);
   // Ever less of the box's sides is seen, until only its front is.
   for (const double turn : {0.3, 0.2, 0.1, 0.0}) {
     const Pose pose = view_of(0.45, turn, turn);
