@@ -213,9 +213,8 @@ SweepBlock::SweepBlock(const Sweep& sweep, const PixelRect& rect, Purpose purpos
   }
   acquire_views();
   by_shift_ = !any_masked_ && meet_at_one_offset(sweep, cameras_);
-  shift_job_.type = views_.empty() ? PixelType::u8 : views_.front()->type;
-  shift_job_.channels = sweep.store.views().lf.channels;
-  shift_job_.a = sweep.pair_weights();
+  if (!views_.empty()) type_ = views_.front()->type;
+  channels_ = sweep.store.views().lf.channels;
 }
 
 void SweepBlock::acquire_views() {
@@ -231,31 +230,44 @@ void SweepBlock::acquire_views() {
   }
 }
 
-/// The job of a part in which the same cameras see all pixels.
-void SweepBlock::fill_shift_job(int n, const PixelRect& part) {
-  std::array<double, 3> seen{0, 0, 0};
-  const auto sees = [&](std::size_t i) {
-    const CameraShift& s = shift(n, i);
-    return s.visible && s.valid.x0 <= part.x0 && part.x1 <= s.valid.x1 && s.valid.y0 <= part.y0 &&
-           part.y1 <= s.valid.y1;
-  };
+/// The job of a part in which the same cameras see all pixels. A band later the plane's job is the same.
+const SweepBlock::PlaneJob& SweepBlock::shift_job(int n, const PixelRect& part,
+                                                  const kernels::PairWeights& a) {
   bool all = true;
-  for (std::size_t i = 0; i < cameras_.size(); ++i) all = all && (sees(i) || !shift(n, i).visible);
-  if (all && job_of_all_ && job_plane_ == n) return;
-  job_of_all_ = all;
-  job_plane_ = n;
+  sees_.resize(cameras_.size());
+  for (std::size_t i = 0; i < cameras_.size(); ++i) {
+    const CameraShift& s = shift(n, i);
+    sees_[i] = s.visible && s.valid.x0 <= part.x0 && part.x1 <= s.valid.x1 && s.valid.y0 <= part.y0 &&
+               part.y1 <= s.valid.y1;
+    all = all && (sees_[i] || !s.visible);
+  }
+  std::vector<PlaneJob>& of_all = a == sweep_.pair_weights() ? jobs_ : jobs_without_wide_;
+  of_all.resize(sweep_.disparities.size());
+  PlaneJob& plane = all ? of_all[static_cast<std::size_t>(n)] : part_job_;
+  if (all && plane.ready) return plane;
+  plane.job.type = type_;
+  plane.job.channels = channels_;
+  plane.job.a = a;
+  fill_shift_job(n, sees_, plane);
+  plane.ready = true;
+  return plane;
+}
+
+void SweepBlock::fill_shift_job(int n, const std::vector<char>& sees, PlaneJob& plane) {
+  std::array<double, 3> seen{0, 0, 0};
   for (std::size_t i = 0; i < cameras_.size(); ++i)
-    if (sees(i))
+    if (sees[i])
       for (std::size_t k = 0; k < 3; ++k) seen[k] += constant_[i][k];
-  const auto& a = shift_job_.a;
+  kernels::ShiftJob& job = plane.job;
+  const auto& a = job.a;
   const bool takes_part[3] = {a.a01 != 0 || a.a02 != 0, a.a01 != 0 || a.a12 != 0, a.a02 != 0 || a.a12 != 0};
-  job_defined_ = true;
+  plane.defined = true;
   for (std::size_t k = 0; k < 3; ++k)
-    job_defined_ =
-        job_defined_ && (!takes_part[k] || static_cast<float>(seen[k]) >= FocalPlaneRenderer::kLeastCoverage);
-  job_candidate_ = seen[static_cast<std::size_t>(sweep_.options.k)] > 0;
-  shift_job_.taps.clear();
-  if (!job_defined_) return;
+    plane.defined = plane.defined &&
+                    (!takes_part[k] || static_cast<float>(seen[k]) >= FocalPlaneRenderer::kLeastCoverage);
+  plane.candidate = seen[static_cast<std::size_t>(sweep_.options.k)] > 0;
+  job.taps.clear();
+  if (!plane.defined) return;
 
   // A filter that takes no part may see nothing; its weights are then 0.
   const auto part_of = [&](std::size_t i, std::size_t k) {
@@ -266,20 +278,21 @@ void SweepBlock::fill_shift_job(int n, const PixelRect& part) {
   second_weights_.clear();
   for (const bool second : {true, false}) {
     for (std::size_t i = 0; i < cameras_.size(); ++i) {
-      if (!sees(i)) continue;
+      if (!sees[i]) continue;
       const double w1 = use_first ? part_of(i, 0) - part_of(i, 1) : 0.0;
       const double w2 = use_second ? part_of(i, 0) - part_of(i, 2) : 0.0;
       // A camera of weight 0 is here only if idle cameras are not to be skipped.
       if (second == (w2 != 0) && (w1 != 0 || w2 != 0 || !sweep_.options.skips.idle_cameras))
-        add_tap(shift(n, i), *views_[i], w1, w2);
+        add_tap(shift(n, i), *views_[i], w1, w2, job);
     }
-    if (second) shift_job_.in_second = shift_job_.taps.size();
+    if (second) job.in_second = job.taps.size();
   }
-  shift_job_.unit1 = fix_weights(first_weights_, &ShiftTap::fixed1);
-  shift_job_.unit2 = fix_weights(second_weights_, &ShiftTap::fixed2);
+  job.unit1 = fix_weights(first_weights_, job, &ShiftTap::fixed1);
+  job.unit2 = fix_weights(second_weights_, job, &ShiftTap::fixed2);
 }
 
-void SweepBlock::add_tap(const CameraShift& s, const StoredView& view, double w1, double w2) {
+void SweepBlock::add_tap(const CameraShift& s, const StoredView& view, double w1, double w2,
+                         kernels::ShiftJob& job) {
   ShiftTap tap;
   tap.view = &view;
   tap.offset = static_cast<std::ptrdiff_t>(s.dy) * view.width + s.dx;
@@ -297,14 +310,14 @@ void SweepBlock::add_tap(const CameraShift& s, const StoredView& view, double w1
   };
   first_weights_.push_back(bilinear(w1));
   second_weights_.push_back(bilinear(w2));
-  shift_job_.taps.push_back(tap);
+  job.taps.push_back(tap);
 }
 
 /// Integers in the place of weights, as large as their products with pixels may be. What rounding takes from
 /// one the next one gets, so their sum is that of the weights, 0, and a picture that is only brighter has the
 /// same differences. Returns what one of them is worth, in full scale.
-float SweepBlock::fix_weights(const std::vector<std::array<double, 4>>& weights,
-                              std::int32_t (ShiftTap::*fixed)[2]) {
+float SweepBlock::fix_weights(const std::vector<std::array<double, 4>>& weights, kernels::ShiftJob& job,
+                              std::int32_t (ShiftTap::*fixed)[2]) const {
   double largest = 0, total = 0;
   for (const auto& tap : weights)
     for (const double w : tap) {
@@ -313,7 +326,7 @@ float SweepBlock::fix_weights(const std::vector<std::array<double, 4>>& weights,
     }
   if (!(largest > 0)) return 0;
   // Sums of 32 bits; of u16, less 2^15, each pixel is as large as that.
-  const double most = shift_job_.type == PixelType::u8 ? 8e6 : 6.5e4;
+  const double most = type_ == PixelType::u8 ? 8e6 : 6.5e4;
   const double scale = std::min(32766 / largest, most / total);
   double sum = 0;
   long before = 0;
@@ -327,7 +340,7 @@ float SweepBlock::fix_weights(const std::vector<std::array<double, 4>>& weights,
   for (std::size_t t = 0; t < weights.size(); ++t)
     for (std::size_t row = 0; row < 2; ++row) {
       const std::uint32_t left = next(weights[t][2 * row]), right = next(weights[t][2 * row + 1]);
-      (shift_job_.taps[t].*fixed)[row] = static_cast<std::int32_t>(left | right << 16);
+      (job.taps[t].*fixed)[row] = static_cast<std::int32_t>(left | right << 16);
     }
   return static_cast<float>(sweep_.scale / scale);
 }
@@ -343,21 +356,19 @@ bool SweepBlock::seen_alike(int n, const PixelRect& halo) const {
   return true;
 }
 
-void SweepBlock::evaluate_shift_job(const PixelRect& part) {
+void SweepBlock::evaluate_shift_job(const PlaneJob& plane, const PixelRect& part) {
   const int width = part.x1 - part.x0, height = part.y1 - part.y0;
-  shift_difference(shift_job_, part.x0, part.y0, width, height, E0_at(part.x0, part.y0), stride_);
-  multiply_adds_ += kernels::multiply_adds(shift_job_) * width * height;
+  shift_difference(plane.job, part.x0, part.y0, width, height, E0_at(part.x0, part.y0), stride_);
+  multiply_adds_ += kernels::multiply_adds(plane.job) * width * height;
 }
 
 /// True if equation 5 is defined and the plane a candidate everywhere; otherwise `defined_` and `candidate_`
 /// say where.
 bool SweepBlock::difference_by_shift(int n, const PixelRect& halo, const kernels::PairWeights& a) {
-  if (shift_job_.a != a) job_of_all_ = false;
-  shift_job_.a = a;
   if (seen_alike(n, halo)) {
-    fill_shift_job(n, halo);
-    if (job_defined_ && job_candidate_) {
-      evaluate_shift_job(halo);
+    const PlaneJob& plane = shift_job(n, halo, a);
+    if (plane.defined && plane.candidate) {
+      evaluate_shift_job(plane, halo);
       return true;
     }
   }
@@ -383,9 +394,9 @@ bool SweepBlock::difference_by_shift(int n, const PixelRect& halo, const kernels
   for (std::size_t j = 0; j + 1 < ys.size(); ++j)
     for (std::size_t i = 0; i + 1 < xs.size(); ++i) {
       const PixelRect part{xs[i], ys[j], xs[i + 1], ys[j + 1]};
-      fill_shift_job(n, part);
-      if (!job_defined_ || !job_candidate_) gaps.push_back({part, job_defined_, job_candidate_});
-      if (job_defined_) evaluate_shift_job(part);
+      const PlaneJob& plane = shift_job(n, part, a);
+      if (!plane.defined || !plane.candidate) gaps.push_back({part, plane.defined, plane.candidate});
+      if (plane.defined) evaluate_shift_job(plane, part);
     }
   if (gaps.empty()) return true;
   defined_.resize(padded_size_);
@@ -556,7 +567,7 @@ void SweepBlock::prepare_warp() {
   make_rays();
   make_maps();
   make_weights();
-  warp_job_.channels = shift_job_.channels;
+  warp_job_.channels = channels_;
   warp_job_.scale = sweep_.scale;
   warp_job_.a = sweep_.pair_weights();
   warp_job_.k = static_cast<int>(sweep_.options.k);
@@ -751,9 +762,9 @@ void SweepBlock::take(const SweepBlock& other, int x0, int x1) {
 }
 
 double SweepBlock::bytes() const {
-  const int channels = shift_job_.channels;
+  const int channels = channels_;
   const double pixels = static_cast<double>(rect_.x1 - rect_.x0) * (rect_.y1 - rect_.y0);
-  const double sample = static_cast<double>(bytes_per_sample(shift_job_.type));
+  const double sample = static_cast<double>(bytes_per_sample(type_));
   // The result: colour, disparity, plane and confidence.
   return pixels * (static_cast<double>(cameras_.size()) * channels * sample + 4.0 * (channels + 3));
 }
@@ -794,8 +805,8 @@ PixelRect SweepBlock::fill_colour_job(const SweepBlock& searched, kernels::Colou
       total += constant_[i][k];
     }
   PixelRect seen = filter.empty() ? PixelRect{} : rect_;
-  job.type = shift_job_.type;
-  job.channels = shift_job_.channels;
+  job.type = type_;
+  job.channels = channels_;
   job.cameras = filter.size();
   job.taps.resize(planes * filter.size());
   for (std::size_t n = 0; n < planes; ++n) {
@@ -831,7 +842,7 @@ void SweepBlock::colour_by_shift(const PixelRect& part, const kernels::ColourJob
 }
 
 void SweepBlock::write(RenderedView& out, const SweepBlock& searched) {
-  const int width = rect_.x1 - rect_.x0, height = rect_.y1 - rect_.y0, channels = shift_job_.channels;
+  const int width = rect_.x1 - rect_.x0, height = rect_.y1 - rect_.y0, channels = channels_;
   const std::size_t plane_size = searched.plane_.size();
   const auto colour =
       std::make_unique_for_overwrite<float[]>(plane_size * static_cast<std::size_t>(channels));

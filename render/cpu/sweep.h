@@ -155,16 +155,23 @@ class SweepBlock {
                          static_cast<std::size_t>(cameras_[i])];
   }
   bool seen_alike(int n, const PixelRect& halo) const;
-  void evaluate_shift_job(const PixelRect& part);
+  /// Equation 5 of one plane where the same cameras see all pixels.
+  struct PlaneJob {
+    kernels::ShiftJob job;
+    bool ready = false;
+    bool defined = false, candidate = false;  ///< whether equation 5 is, and the plane is one
+  };
+  void evaluate_shift_job(const PlaneJob& plane, const PixelRect& part);
   bool difference_by_shift(int n, const PixelRect& halo, const kernels::PairWeights& a);
   bool difference_by_warp(int n, const PixelRect& halo);
   void invert_counts(const PixelRect& halo, const PixelRect& part);
   PixelRect halo_of(const PixelRect& part) const;
   void clear_outside(std::vector<float>& raster, const PixelRect& padded, const PixelRect& halo);
-  void fill_shift_job(int n, const PixelRect& part);
-  void add_tap(const CameraShift& s, const StoredView& view, double w1, double w2);
-  float fix_weights(const std::vector<std::array<double, 4>>& weights,
-                    std::int32_t (kernels::ShiftTap::*fixed)[2]);
+  const PlaneJob& shift_job(int n, const PixelRect& part, const kernels::PairWeights& a);
+  void fill_shift_job(int n, const std::vector<char>& sees, PlaneJob& plane);
+  void add_tap(const CameraShift& s, const StoredView& view, double w1, double w2, kernels::ShiftJob& job);
+  float fix_weights(const std::vector<std::array<double, 4>>& weights, kernels::ShiftJob& job,
+                    std::int32_t (kernels::ShiftTap::*fixed)[2]) const;
   void prepare_warp();
   void colour_by_warp(const PixelRect& part, const SweepBlock& searched, float* colour, float* coverage);
   PixelRect fill_colour_job(const SweepBlock& searched, kernels::ColourJob& job);
@@ -191,12 +198,12 @@ class SweepBlock {
   std::vector<Spans> spans_;  ///< of masked views
   bool any_masked_ = false, by_shift_ = false;
   std::vector<Carry> carries_;  ///< by plane
-  kernels::ShiftJob shift_job_;
-  int job_plane_ = -1;
-  std::vector<std::array<double, 4>> first_weights_, second_weights_;  ///< of the job's taps, by corner
-  /// shift_job_ is of the plane's shifts, of all cameras; whether equation 5 is defined there, and the plane
-  /// a candidate.
-  bool job_of_all_ = false, job_defined_ = false, job_candidate_ = false;
+  PixelType type_ = PixelType::u8;
+  int channels_ = 3;
+  std::vector<PlaneJob> jobs_, jobs_without_wide_;  ///< by plane, of all cameras; ruled_out() has the second
+  PlaneJob part_job_;                               ///< of some of the cameras
+  std::vector<char> sees_;
+  std::vector<std::array<double, 4>> first_weights_, second_weights_;  ///< of a job's taps, by corner
   kernels::WarpJob warp_job_;
   bool warp_ready_ = false;
   std::vector<kernels::WarpMap> maps_;  ///< [plane][camera]
