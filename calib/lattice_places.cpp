@@ -5,6 +5,8 @@
 #include <limits>
 #include <numeric>
 
+#include "core/median.h"
+
 namespace stuv {
 namespace {
 
@@ -23,9 +25,7 @@ std::vector<Eigen::Vector2d> to_nearest(const std::vector<Eigen::Vector2d>& poin
 double median_length(const std::vector<Eigen::Vector2d>& steps) {
   std::vector<double> lengths;
   for (const Eigen::Vector2d& step : steps) lengths.push_back(step.norm());
-  const auto middle = lengths.begin() + static_cast<std::ptrdiff_t>(lengths.size() / 2);
-  std::nth_element(lengths.begin(), middle, lengths.end());
-  return *middle;
+  return median(std::move(lengths));
 }
 
 /// Rank of each value's cluster, where sorted neighbours further apart than `gap` part clusters.

@@ -5,6 +5,8 @@
 #include <limits>
 #include <vector>
 
+#include "core/median.h"
+
 namespace stuv {
 namespace {
 
@@ -13,13 +15,6 @@ using Place = std::pair<int, int>;
 const Eigen::Vector2d* find(const CornerGrid& grid, int i, int j) {
   const auto it = grid.find({i, j});
   return it == grid.end() ? nullptr : &it->second;
-}
-
-double median(std::vector<double> values) {
-  if (values.empty()) return 0;
-  const auto middle = values.begin() + static_cast<long>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
 }
 
 /// Mean over 3 x 3 pixels; NaN outside of the picture.
@@ -72,6 +67,7 @@ SquareColours square_colours(const CornerImage& image, const CornerGrid& grid) {
     signed_contrast.push_back((place.first + place.second) % 2 == 0 ? difference : -difference);
     bright.push_back(std::max(s.other[0] + s.other[1], s.same[0] + s.same[1]) / 2);
   }
+  if (bright.empty()) return {1, 0, 0};
   const double contrast = median(signed_contrast);
   return {contrast > 0 ? 0 : 1, std::abs(contrast), median(bright)};
 }

@@ -9,6 +9,7 @@
 #include "calib/board/detect_markers.h"
 #include "calib/board/refine.h"
 #include "calib/board/symmetric_corner.h"
+#include "core/median.h"
 
 namespace stuv {
 namespace {
@@ -30,10 +31,9 @@ cv::Mat luma_of(const Image& picture) {
   std::vector<float> sample;
   for (int y = 0; y < luma.rows; y += 4)
     for (int x = 0; x < luma.cols; x += 4) sample.push_back(luma.at<float>(y, x));
-  const auto bright = sample.begin() + static_cast<long>(0.98 * static_cast<double>(sample.size()));
-  std::nth_element(sample.begin(), bright, sample.end());
+  const float bright = value_of_rank(std::move(sample), 0.98);
   constexpr float kDark = 100, kStretched = 200, kLeast = 2;
-  if (*bright < kDark) luma = cv::min(luma * (kStretched / std::max(*bright, kLeast)), 255);
+  if (bright < kDark) luma = cv::min(luma * (kStretched / std::max(bright, kLeast)), 255);
   return luma;
 }
 

@@ -13,6 +13,7 @@
 #include "calib/board/corner_grid.h"
 #include "calib/board/markers.h"
 #include "calib/board/pattern.h"
+#include "core/median.h"
 
 namespace stuv {
 namespace {
@@ -263,9 +264,7 @@ std::vector<Eigen::Vector2d> detect_markers(const CornerImage& image, const Boar
   grow(image, board, corners);
   std::vector<double> contrasts;
   for (const auto& [point, corner] : corners) contrasts.push_back(corner.contrast);
-  std::nth_element(contrasts.begin(), contrasts.begin() + static_cast<long>(contrasts.size() / 2),
-                   contrasts.end());
-  const double least = contrasts[contrasts.size() / 2] / 3;
+  const double least = median(std::move(contrasts)) / 3;
   constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
   std::vector<Eigen::Vector2d> result(static_cast<std::size_t>(board.corners()), {kNaN, kNaN});
   for (const auto& [point, corner] : corners)

@@ -15,6 +15,7 @@
 #include "core/files.h"
 #include "core/image_io.h"
 #include "core/json.h"
+#include "core/median.h"
 #include "core/parallel.h"
 
 namespace stuv {
@@ -212,10 +213,7 @@ double median_sigma_px(const FoundCorners& found) {
     for (const BoardView& view : set)
       for (const double sigma : view.sigma_px)
         if (std::isfinite(sigma)) all.push_back(sigma);
-  if (all.empty()) return kCornerFloorPx;
-  const auto middle = all.begin() + static_cast<long>(all.size() / 2);
-  std::nth_element(all.begin(), middle, all.end());
-  return *middle;
+  return all.empty() ? kCornerFloorPx : median(std::move(all));
 }
 
 }  // namespace stuv

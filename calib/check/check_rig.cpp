@@ -8,6 +8,7 @@
 #include <numeric>
 
 #include "calib/check/lens_turn.h"
+#include "core/median.h"
 #include "core/parallel.h"
 
 namespace stuv {
@@ -17,13 +18,6 @@ constexpr double kHypothesisPx = 2.0;  // median residual of pictures that anoth
 constexpr double kMuchBetter = 3;      // times better than the camera's own place
 constexpr double kLikelyAgreement = 0.5;  // share of sightings that must agree with a new pose
 constexpr double kDeg = 180 / M_PI;
-
-double median(std::vector<double> values) {
-  if (values.empty()) return std::numeric_limits<double>::quiet_NaN();
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
 
 double focal_of(const Camera& camera) { return 0.5 * (camera.intrinsics[0] + camera.intrinsics[1]); }
 

@@ -14,6 +14,7 @@
 #include "calib/two_view/estimate.h"
 #include "calib/two_view/match_pictures.h"
 #include "core/image_io.h"
+#include "core/median.h"
 #include "core/parallel.h"
 
 namespace stuv {
@@ -183,9 +184,7 @@ class Search {
     std::vector<int> each;
     for (int c = 0; c < count(); ++c)
       if (out_.cameras[c].present) each.push_back(most_matches(c));
-    if (each.empty()) return 0;
-    std::nth_element(each.begin(), each.begin() + static_cast<std::ptrdiff_t>(each.size() / 2), each.end());
-    return each[each.size() / 2];
+    return median(std::move(each));
   }
 
   /// A camera that finds little: with its picture flipped, or elsewhere in the rig.

@@ -7,6 +7,8 @@
 #include <utility>
 #include <vector>
 
+#include "core/median.h"
+
 namespace stuv {
 namespace {
 
@@ -44,12 +46,6 @@ Term term_of(const PointSighting& s, const Pose& pose, double focal_px) {
   t.J = llt.matrixL().solve(t.raw_J);
   t.in_front = u.dot(s.ray) > 0;
   return t;
-}
-
-double median(std::vector<double> values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
 }
 
 /// Deviation of a coordinate, from the median length (Rayleigh's median is 1.1774 deviations).

@@ -7,6 +7,8 @@
 #include <limits>
 #include <numeric>
 
+#include "core/median.h"
+
 namespace stuv {
 namespace {
 
@@ -69,21 +71,15 @@ void fit_light(const Problem& p, Fit& f) {
     }
 }
 
-double median_of(std::vector<double> values) {
-  if (values.empty()) return 0;
-  const auto middle = values.begin() + static_cast<long>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
-
 /// Noise of a sample by the median of the residuals, which the unknowns have taken a part of.
 double noise_of(const Problem& p, const Fit& f) {
   std::vector<double> sizes;
   for (const Sample& s : p.samples)
     for (int c = 0; c < p.channels; ++c) sizes.push_back(std::abs(residual(p, f, s, c)));
+  if (sizes.empty()) return 0;
   const auto n = static_cast<double>(sizes.size());
   const double free = n - double(p.points) * p.channels - p.cameras * double(p.states());
-  return 1.4826 * median_of(std::move(sizes)) * std::sqrt(n / std::max(1.0, free));
+  return 1.4826 * median(std::move(sizes)) * std::sqrt(n / std::max(1.0, free));
 }
 
 void weigh(Problem& p, const Fit& f) {
@@ -375,7 +371,7 @@ double spread(const Problem& p, const Fit& f, bool correct) {
   for (int c = 0; c < p.channels; ++c) {
     std::vector<double> lights;
     for (const auto& light : f.light) lights.push_back(light[c]);
-    const double bright = median_of(lights);
+    const double bright = median(lights);
     for (int point = 0; point < p.points; ++point) {
       if (f.light[point][c] < bright) continue;
       std::vector<double> values;

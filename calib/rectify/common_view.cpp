@@ -6,6 +6,7 @@
 #include <cmath>
 
 #include "core/error.h"
+#include "core/median.h"
 #include "core/parallel.h"
 
 namespace stuv {
@@ -13,12 +14,6 @@ namespace {
 
 using Box = Eigen::AlignedBox2d;      ///< of directions, as (X, Y) on the plane Z = 1 of the rig's axes
 constexpr double kMostSlope = 3.732;  ///< tan 75 degrees
-
-double median(std::vector<double> values) {
-  const auto middle = values.begin() + static_cast<long>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
 
 /// Where a pixel of the camera looks, kept within what a plane can show.
 std::vector<Eigen::Vector2d> slopes(const Camera& camera, const std::vector<Eigen::Vector2d>& pixels) {

@@ -6,6 +6,8 @@
 #include <opencv2/imgproc.hpp>
 #include <optional>
 
+#include "core/median.h"
+
 namespace stuv {
 namespace {
 
@@ -181,10 +183,8 @@ GreyView grey_view(const Image& rectified) {
   }
   float top = 1;
   if (rectified.type != PixelType::u8) {
-    std::vector<float> sorted = grey;
-    const auto at = sorted.begin() + static_cast<long>(0.99 * static_cast<double>(n));
-    std::nth_element(sorted.begin(), at, sorted.end());
-    top = *at > 0 ? *at : 1;
+    const float bright = value_of_rank(grey, 0.99);
+    top = bright > 0 ? bright : 1;
   }
   for (std::size_t i = 0; i < n; ++i)
     view.grey.data[i] = static_cast<std::uint8_t>(std::lrint(255 * std::clamp(grey[i] / top, 0.0F, 1.0F)));

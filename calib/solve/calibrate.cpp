@@ -155,6 +155,26 @@ std::vector<Camera> known_lenses(const std::vector<Camera>& known, const Observa
   return lenses;
 }
 
+/// What residuals tell of frames that were not taken together: lenses by each camera's own boards, and places
+/// that are known less well than independent errors would make them.
+void weigh_structure(Calibration& c, const SolveOptions& options) {
+  c.structure = residual_structure(c.observations, c.solution);
+  const int n = static_cast<int>(c.solution.cameras.size());
+  if (!c.structure.frames_apart() || std::count(c.solution.solved.begin(), c.solution.solved.end(), true) < 2)
+    return;
+  if (!(c.validation->sigma.freedom > 0)) {
+    c.place_scale = c.structure.view_ratio;
+    c.solution.pose_covariance *= c.place_scale * c.place_scale;
+  }
+  if (!options.known.empty() || options.shared_lens || options.lens == Lens::splined) return;
+  c.own_lenses.resize(n);
+  parallel_for(n, [&](int i) {
+    if (!c.solution.solved[i]) return;
+    c.own_lenses[i] = own_lens(c.observations, c.solution, i, options);
+    c.own_lenses[i].focal_sigma_px *= c.validation->sigma.scale;
+  });
+}
+
 int sets_with_boards(const Observations& observations) {
   std::set<int> sets;
   for (const BoardObservation& b : observations.boards) sets.insert(b.set);
@@ -276,6 +296,7 @@ Calibration calibrate(Observations observations, const Recording& recording,
   c.validation = validate_solution(c.observations, c.solution, solve, options.most_folds, reporter);
   if (c.validation->left_out) c.cross_validation_px = c.validation->left_out->rms_px;
   c.solution.sigma_px *= c.validation->sigma.scale;
+  weigh_structure(c, solve);
   for (int i = 0; i < n; ++i) c.cameras.push_back(summary_of(c, i));
   note_undetermined(c, groups, options);
   std::vector<PlacedCamera> placed;
@@ -292,7 +313,6 @@ Calibration calibrate(Observations observations, const Recording& recording,
   map_projections(c, determined);
   if (c.rig.nearest_seen_m > 0)
     c.ghosting = ghosting(c.solution, c.layout, determined, working_depths(c.rig));
-  c.structure = residual_structure(c.observations, c.solution);
   if (small_views > 0)
     c.notes.push_back(
         fmt::format("{} view(s) with fewer than 6 corners of the board took no part", small_views));

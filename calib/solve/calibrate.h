@@ -8,6 +8,7 @@
 #include "calib/solve/ghosting.h"
 #include "calib/solve/joint_solve.h"
 #include "calib/solve/lattice.h"
+#include "calib/solve/own_lens.h"
 #include "calib/solve/residual_structure.h"
 #include "calib/solve/uncertainty.h"
 #include "calib/solve/validation.h"
@@ -55,6 +56,11 @@ struct Calibration {
   std::optional<double> cross_validation_px;
   std::optional<Validation> validation;
   ResidualStructure structure;
+  /// Where the structure says that frames of a set were not taken together and lenses are free; else empty.
+  std::vector<OwnLens> own_lenses;
+  /// By what the covariance of the poses was multiplied, its root: ResidualStructure::view_ratio where frames
+  /// were not taken together and SigmaScale could not be measured.
+  double place_scale = 1;
   std::vector<double> map_distances_m;
   /// Of the determined cameras, even in 1/z, from half the distance of the nearest board corner to infinity.
   std::vector<Ghosting> ghosting;

@@ -9,6 +9,7 @@
 
 #include "calib/solve/groups.h"
 #include "calib/solve/mrcal_problem.h"
+#include "core/median.h"
 
 namespace stuv {
 namespace {
@@ -43,13 +44,6 @@ mrcal_problem_selections_t selections(const SolveOptions& options, bool core, bo
 }
 
 double deviation(double sum_sq, std::size_t count) { return std::sqrt(sum_sq / static_cast<double>(count)); }
-
-double median(std::vector<double>& values) {
-  if (values.empty()) return kNaN;
-  const auto middle = values.begin() + static_cast<long>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
 
 /// A median absolute deviation is this part of a Gaussian's sigma.
 constexpr double kMadOfSigma = 0.6745;

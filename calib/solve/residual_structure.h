@@ -27,6 +27,9 @@ struct ResidualStructure {
     double rms_px = 0, view_px = 0;  ///< view_px: rms of its views' means
   };
   std::vector<BySet> sets;
+
+  /// Views of one set show the board at places that differ by more than noise.
+  bool frames_apart() const { return view_px > 0.1 && view_ratio > 3; }
 };
 
 /// Noise is what an affine function of the position leaves of each view's residuals.

@@ -9,6 +9,7 @@
 #include <stdexcept>
 
 #include "core/error.h"
+#include "core/median.h"
 
 namespace stuv {
 namespace {
@@ -75,10 +76,7 @@ std::vector<bool> take_out_suspects(Points& points, std::size_t corners) {
     error.push_back(cv::norm(predicted[i] - points.pixel[i]));
     box.extend(Eigen::Vector2d(predicted[i].x, predicted[i].y));
   }
-  std::vector<double> sorted = error;
-  const auto at = sorted.begin() + static_cast<long>(0.6 * static_cast<double>(sorted.size()));
-  std::nth_element(sorted.begin(), at, sorted.end());
-  const double most_px = std::max(0.01 * box.sizes().norm(), 8 * *at);
+  const double most_px = std::max(0.01 * box.sizes().norm(), 8 * value_of_rank(error, 0.6));
   Points kept;
   for (std::size_t i = 0; i < plane.size(); ++i) {
     if (error[i] > most_px) {

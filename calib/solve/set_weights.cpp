@@ -4,6 +4,8 @@
 #include <cmath>
 #include <vector>
 
+#include "core/median.h"
+
 namespace stuv {
 namespace {
 
@@ -24,9 +26,7 @@ std::vector<double> set_noise(const Observations& in, const JointSolution& s) {
   std::vector<double> noise(sizes.size(), std::nan(""));
   for (std::size_t set = 0; set < sizes.size(); ++set) {
     if (sizes[set].size() < kLeast) continue;
-    const auto middle = sizes[set].begin() + static_cast<long>(sizes[set].size() / 2);
-    std::nth_element(sizes[set].begin(), middle, sizes[set].end());
-    noise[set] = *middle / kMadOfSigma;
+    noise[set] = median(std::move(sizes[set])) / kMadOfSigma;
   }
   return noise;
 }
@@ -40,8 +40,7 @@ bool reweight_sets(const JointSolution& s, Observations& in) {
   for (const double n : noise)
     if (std::isfinite(n)) sorted.push_back(n);
   if (sorted.size() < 3) return false;
-  std::nth_element(sorted.begin(), sorted.begin() + static_cast<long>(sorted.size() / 2), sorted.end());
-  const double usual = std::hypot(sorted[sorted.size() / 2], kFloorPx);
+  const double usual = std::hypot(median(std::move(sorted)), kFloorPx);
   bool any = false;
   for (BoardObservation& b : in.boards) {
     const double above = std::hypot(noise[b.set], kFloorPx) / usual;

@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "calib/two_view/fundamental.h"
+#include "core/median.h"
 
 namespace stuv {
 namespace {
@@ -46,8 +47,7 @@ bool on_conic(std::span<const Match> matches, Eigen::Vector2d Match::*side, cons
   const Vector6 c = conic_through(e, points);
   std::vector<double> d;
   for (const Eigen::Vector2d& x : points) d.push_back(distance(c, x));
-  std::nth_element(d.begin(), d.begin() + static_cast<long>(d.size() / 2), d.end());
-  return d[d.size() / 2] < kOnIt * noise_px * T.scale;
+  return median(std::move(d)) < kOnIt * noise_px * T.scale;
 }
 
 }  // namespace

@@ -11,6 +11,7 @@
 #include "calib/two_view/match_noise.h"
 #include "calib/two_view/robust.h"
 #include "calib/two_view/rotation.h"
+#include "core/median.h"
 
 namespace stuv {
 namespace {
@@ -73,11 +74,6 @@ std::vector<double> distances(const Matrix3d& F, const Matches& matches) {
   d.reserve(matches.size());
   for (const Match& m : matches) d.push_back(std::abs(sampson_distance(F, m)));
   return d;
-}
-
-double median_of(std::vector<double> v) {
-  std::nth_element(v.begin(), v.begin() + static_cast<long>(v.size() / 2), v.end());
-  return v[v.size() / 2];
 }
 
 double log10_choose(double n, double k) {
@@ -153,7 +149,7 @@ Agreement agreement(const std::vector<double>& d, double most, double least) {
     for (const double v : d)
       if (v < a.cut) kept.push_back(v);
     if (kept.size() < 8) break;
-    a.noise = 1.4826 * median_of(kept) * std::sqrt(double(kept.size()) / (double(kept.size()) - 7));
+    a.noise = 1.4826 * median(kept) * std::sqrt(double(kept.size()) / (double(kept.size()) - 7));
     const double cut = std::clamp(kCutSigmas * a.noise, least, most);
     if (std::abs(cut - a.cut) < 1e-6 * most) break;
     a.cut = cut;
@@ -315,7 +311,7 @@ double line_sigma_at_parallax(const Work& w, const FundamentalMl& ml, const std:
     const Match& m = w.all[inliers[i]];
     sigma.push_back(sigma_with_parallax(ml, m.a, m.b, kParallax * w.radius_px));
   }
-  return median_of(sigma);
+  return median(sigma);
 }
 
 void take_inliers(const Work& w, const std::vector<int>& inliers, TwoViewEstimate& e) {

@@ -15,6 +15,7 @@
 #include "calib/two_view/refine_tracks.h"
 #include "core/error.h"
 #include "core/image_io.h"
+#include "core/median.h"
 #include "core/parallel.h"
 
 namespace stuv {
@@ -84,8 +85,7 @@ std::vector<Eigen::MatrixXd> lens_roots(const NoBoardOptions& options, const std
 double median_focal(const std::vector<Camera>& lenses) {
   std::vector<double> f;
   for (const Camera& c : lenses) f.push_back(c.intrinsics[0]);
-  std::nth_element(f.begin(), f.begin() + static_cast<long>(f.size() / 2), f.end());
-  return f[f.size() / 2];
+  return median(std::move(f));
 }
 
 /// A picture's features, and where they are in ideal pixels.

@@ -12,6 +12,7 @@
 #include "calib/two_view/essential.h"
 #include "calib/two_view/estimate.h"
 #include "calib/two_view/no_board.h"
+#include "core/median.h"
 
 namespace stuv {
 namespace {
@@ -169,8 +170,7 @@ class Sfm {
         for (const Match& q : m) mean += (q.b - q.a) / static_cast<double>(m.size());
         std::vector<double> spread;
         for (const Match& q : m) spread.push_back((q.b - q.a - mean).norm());
-        std::nth_element(spread.begin(), spread.begin() + static_cast<long>(spread.size() / 2), spread.end());
-        pairs.push_back({-std::sqrt(double(m.size())) * spread[spread.size() / 2], {a, b}});
+        pairs.push_back({-std::sqrt(double(m.size())) * median(std::move(spread)), {a, b}});
       }
     std::sort(pairs.begin(), pairs.end());
     for (std::size_t i = 0; i < std::min<std::size_t>(pairs.size(), 20); ++i)
@@ -329,8 +329,7 @@ class Sfm {
       for (std::size_t k = 0; k < inlier_[t].size(); ++k)
         if (used(t, k)) r.push_back(residual(t, k).norm());
     if (r.empty()) return 0;
-    std::nth_element(r.begin(), r.begin() + static_cast<long>(r.size() / 2), r.end());
-    return r[r.size() / 2] / 1.1774;  // median of Rayleigh's distribution
+    return median(std::move(r)) / 1.1774;  // of Rayleigh's distribution
   }
 
   /// Takes observations beyond four deviations out, and points left with one ray; whether there were any.

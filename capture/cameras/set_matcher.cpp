@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "core/median.h"
+
 namespace stuv {
 namespace {
 
@@ -78,9 +80,7 @@ std::int64_t SetMatcher::period_ns() const {
   for (const Camera& camera : cameras_)
     if (camera.live && camera.interval_ns > 0) intervals.push_back(camera.interval_ns);
   if (intervals.empty()) return options_.period_ns;
-  const auto middle = intervals.begin() + static_cast<std::ptrdiff_t>(intervals.size() / 2);
-  std::nth_element(intervals.begin(), middle, intervals.end());
-  return std::max<std::int64_t>(1, std::llround(*middle));
+  return std::max<std::int64_t>(1, std::llround(median(std::move(intervals))));
 }
 
 /// Finds the first cut, once every live camera has delivered. False: not yet.
