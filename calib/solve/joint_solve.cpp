@@ -455,7 +455,7 @@ JointSolution solve_again(const Observations& in, const JointSolution& start,
   for (const int c : part.camera_of) {
     cameras.push_back(start.cameras[c]);
     weight.push_back(start.camera_weight[c]);
-    if (!options.known.empty()) settings.known.push_back(options.known[c]);
+    if (!options.known.empty()) settings.known.push_back(start.cameras[c]);
   }
   const Pose ref_from_new = cameras.front().cam_from_rig.inverse();
   for (Camera& c : cameras) c.cam_from_rig = c.cam_from_rig * ref_from_new;
