@@ -45,7 +45,7 @@ class TaughtViews {
   const ImageF& rays() const { return rays_; }
 
   /// What `likeness_at`, `looks`, `aligned` and `best_places` look at from now on.
-  void look_at(const Grey& frame) { pyramid_ = smooth_pyramid(frame); }
+  void look_at(const Grey& frame) { smooth_pyramid(frame, pyramid_); }
   /// From now on all poses are compared with the views near this one, or each with those nearest to itself.
   void compare_near(const Pose& pose) { compared_ = surfaces_near(pose); }
   void compare_nearest() { compared_.clear(); }

@@ -33,8 +33,7 @@ PosePrior Tracker::State::prior_by_looks(const Pose& pose, const MatchSummary& e
           trust * kPointWeight * kModelError_px * kModelError_px * better.information};
 }
 
-Refined Tracker::State::polish(const GradientPicture& gradient, const Grey& frame, Pose pose,
-                               TrackedFrame& out) const {
+Refined Tracker::State::polish(const Grey& frame, Pose pose, TrackedFrame& out) const {
   RefineOptions how;
   how.weights = RefineOptions::Weights::tukey;
   how.iterations = 5;
@@ -83,15 +82,15 @@ Matrix6 Tracker::State::covariance_of(const Refined& r) const {
   return information.inverse();
 }
 
-void Tracker::State::estimate_pose(const GradientPicture& gradient, const Grey& frame, TrackedFrame& out) {
+void Tracker::State::estimate_pose(const Grey& frame, TrackedFrame& out) {
   if (options.filter) {
     const StageClock clock(out.seconds.filter);
-    run_filter(gradient, frame, out);
+    run_filter(frame, out);
   }
   const StageClock clock(out.seconds.estimate);
   const Pose last = estimate;
   const bool was_tracked = known && !lost && !out.initialised;
-  const Refined r = polish(gradient, frame, estimate_now, out);
+  const Refined r = polish(frame, estimate_now, out);
   drift =
       known && !out.initialised ? velocity(options.autoregression, last, r.cam_from_object) : Twist::Zero();
   estimate = r.cam_from_object;

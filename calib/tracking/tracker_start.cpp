@@ -141,11 +141,11 @@ void Tracker::State::restart(std::vector<Particle> fresh) {
 }
 
 /// Without the filter: IRLS from the last pose, the method that the paper compares with.
-bool Tracker::State::predict_alone(const GradientPicture& gradient, const Grey& frame, TrackedFrame& out) {
+bool Tracker::State::predict_alone(const Grey& frame, TrackedFrame& out) {
   if (known && !lost) {
     Measured m;
-    measure(gradient, estimate, options.search_px, kGlancedAt, m);
-    refine_one(gradient, estimate, m);
+    measure(estimate, options.search_px, kGlancedAt, m);
+    refine_one(estimate, m);
     estimate_now = m.refined;
     return true;
   }
