@@ -306,6 +306,56 @@ bool align_level(const Level& l, const Matrix6& prior, const Pose& start, Alignm
 
 }  // namespace
 
+namespace {
+
+/// 255 where the patch shows the object.
+cv::Mat object_of(const DepthPatch& patch) {
+  cv::Mat there(patch.depth.height, patch.depth.width, CV_8U, cv::Scalar(0));
+  for (int y = 0; y < there.rows; ++y)
+    for (int x = 0; x < there.cols; ++x)
+      if (std::isfinite(patch.depth.at(x, y))) there.at<std::uint8_t>(y, x) = 255;
+  return there;
+}
+
+/// What of a mask is farther than `by` pixels from its outline.
+cv::Mat shrunk(const cv::Mat& mask, int by) {
+  cv::Mat inside;
+  cv::erode(mask, inside, cv::Mat::ones(2 * by + 1, 2 * by + 1, CV_8U), {-1, -1}, 1, cv::BORDER_CONSTANT,
+            cv::Scalar(0));
+  return inside;
+}
+
+/// A taught picture smoothed over the object's pixels only.
+class ObjectAlone {
+ public:
+  ObjectAlone(const Grey& picture, const DepthPatch& patch, const cv::Mat& there) {
+    cv::Mat mask(picture.height, picture.width, CV_32F, cv::Scalar(0));
+    there.convertTo(mask({patch.x0, patch.y0, there.cols, there.rows}), CV_32F, 1.0 / 255);
+    sums_ = levels_of(float_of(picture).mul(mask));
+    weights_ = levels_of(mask);
+  }
+
+  /// On each level; false where one is not known.
+  bool brightness_at(double x, double y, std::array<float, SmoothPyramid::count>& value) const {
+    const auto in = [](const cv::Mat& m) { return [&m](int row) { return m.ptr<float>(row); }; };
+    for (int l = 0; l < SmoothPyramid::count; ++l) {
+      const double scale = 1.0 / (1 << l);
+      const cv::Mat &sums = sums_[l], &weights = weights_[l];
+      float sum = 0, weight = 0;
+      if (!sample(in(sums), sums.cols, sums.rows, scale * x, scale * y, sum) ||
+          !sample(in(weights), weights.cols, weights.rows, scale * x, scale * y, weight) || !(weight > 0.05F))
+        return false;
+      value[l] = sum / weight;
+    }
+    return true;
+  }
+
+ private:
+  std::array<cv::Mat, SmoothPyramid::count> sums_, weights_;
+};
+
+}  // namespace
+
 SmoothPyramid smooth_pyramid(const Grey& picture) {
   SmoothPyramid out;
   smooth_pyramid(picture, out);
@@ -334,26 +384,11 @@ SurfaceView surface_view(const TexturedView& view, const ObjectModel& model, con
   const int width = patch.depth.width, height = patch.depth.height;
   if (width < 3 || height < 3) return out;
   const Eigen::Vector3d eye = view.cam_from_object.centre();
-  // Far enough from its outline.
-  cv::Mat inside;
-  {
-    cv::Mat there(height, width, CV_8U, cv::Scalar(0));
-    for (int y = 0; y < height; ++y)
-      for (int x = 0; x < width; ++x)
-        if (std::isfinite(patch.depth.at(x, y))) there.at<std::uint8_t>(y, x) = 255;
-    const double size = std::sqrt(static_cast<double>(cv::countNonZero(there)));
-    const int by = static_cast<int>(std::lround(std::clamp(kInside * size, 1.0, kMostInside_px)));
-    out.inside_px = by;
-    cv::erode(there, inside, cv::Mat::ones(2 * by + 1, 2 * by + 1, CV_8U), {-1, -1}, 1, cv::BORDER_CONSTANT,
-              cv::Scalar(0));
-  }
-  // The object alone, smoothed: over its pixels only.
-  cv::Mat mask(view.picture.height, view.picture.width, CV_32F, cv::Scalar(0));
-  int pixels = 0;
-  for (int y = 0; y < height; ++y)
-    for (int x = 0; x < width; ++x)
-      if (std::isfinite(patch.depth.at(x, y))) mask.at<float>(y + patch.y0, x + patch.x0) = 1, ++pixels;
-  const auto sums = levels_of(float_of(view.picture).mul(mask)), weights = levels_of(mask);
+  const cv::Mat there = object_of(patch);
+  const int pixels = cv::countNonZero(there);
+  out.inside_px = std::round(std::clamp(kInside * std::sqrt(double(pixels)), 1.0, kMostInside_px));
+  const cv::Mat inside = shrunk(there, static_cast<int>(out.inside_px));
+  const ObjectAlone alone(view.picture, patch, there);
   const double step = std::max(1.0, std::sqrt(pixels / static_cast<double>(std::max(1, most))));
   std::vector<int> face_number(model.face_normals.size(), -1);
   const Pose object_from_cam = view.cam_from_object.inverse();
@@ -369,16 +404,7 @@ SurfaceView surface_view(const TexturedView& view, const ObjectModel& model, con
       if (p.n.dot(eye - p.x) < 0) p.n = -p.n;
       p.area = area_seen(p, eye, kLeastSlant);
       if (!(p.area > 0)) continue;
-      bool known = true;
-      for (int l = 0; l < SmoothPyramid::count && known; ++l) {
-        const double scale = 1.0 / (1 << l), qx = scale * (x + patch.x0), qy = scale * (y + patch.y0);
-        float sum = 0, weight = 0;
-        const auto in = [&](const cv::Mat& m) { return [&m](int row) { return m.ptr<float>(row); }; };
-        known = sample(in(sums[l]), sums[l].cols, sums[l].rows, qx, qy, sum) &&
-                sample(in(weights[l]), weights[l].cols, weights[l].rows, qx, qy, weight) && weight > 0.05F;
-        p.value[l] = known ? sum / weight : 0;
-      }
-      if (!known) continue;
+      if (!alone.brightness_at(x + patch.x0, y + patch.y0, p.value)) continue;
       if (face_number[face] < 0) face_number[face] = out.faces++, out.face_of.push_back(face);
       p.face = face_number[face];
       out.points.push_back(p);
@@ -462,7 +488,7 @@ Likeness likeness(const SurfaceView& view, const SmoothPyramid& picture, int lev
 }
 
 Alignment align(std::span<const SurfaceView* const> views, const SmoothPyramid& picture, int from,
-                const Lens& lens, const Pose& cam_from_object, const Twist& spread) {
+                const Lens& lens, const Pose& cam_from_object, const Twist& spread, int to) {
   Alignment out;
   out.cam_from_object = cam_from_object;
   // From the camera's axes into the object's: cov = D S D^T with D a rotation, so its inverse is alike.
@@ -471,7 +497,7 @@ Alignment align(std::span<const SurfaceView* const> views, const SmoothPyramid& 
   for (const int k : {0, 3})
     prior.block<3, 3>(k, k) =
         cam_from_object.R.transpose() * inverse.segment<3>(k).asDiagonal() * cam_from_object.R;
-  for (int level = std::min(from, SmoothPyramid::count - 1); level >= 0; --level)
+  for (int level = std::min(from, SmoothPyramid::count - 1); level >= to; --level)
     if (!align_level({views, picture, level, lens}, prior, cam_from_object, out)) return out;
   out.converged = true;
   return out;

@@ -77,7 +77,8 @@ struct Alignment {
   bool converged = false;
 };
 
-/// Direct alignment on brightness (Lucas and Kanade on SE(3)), from level `from` to 0, at most 8 steps each:
+/// Direct alignment on brightness (Lucas and Kanade on SE(3)), from level `from` to `to`, at most 8 steps
+/// each:
 ///
 ///   min over mu, a, b of sum_v sum_j w_j (I(pi(X exp(mu) x_j)) - a_v T_j - b_v)^2 + mu^T P mu
 ///
@@ -89,6 +90,6 @@ struct Alignment {
 /// camera are left out.
 constexpr int kMostViews = 2;
 Alignment align(std::span<const SurfaceView* const> views, const SmoothPyramid& picture, int from,
-                const Lens& lens, const Pose& cam_from_object, const Twist& spread);
+                const Lens& lens, const Pose& cam_from_object, const Twist& spread, int to = 0);
 
 }  // namespace stuv::tracking

@@ -65,7 +65,8 @@ class TaughtViews {
   Likeness likeness_at(const Pose& pose, int level, int points) const;
   /// Likeness to the taught views by a few points, 0 where it is not known.
   double looks(const Pose& pose, int level) const;
-  Alignment aligned(const Pose& pose, int from) const;
+  /// See align: from level `from` down to `to`.
+  Alignment aligned(const Pose& pose, int from, int to) const;
   /// The places that look most like a taught view, aligned with it, most alike first.
   std::vector<Place> best_places(const std::vector<Pose>& poses, int most) const;
 

@@ -79,9 +79,15 @@ std::vector<Particle> Tracker::State::particles_around(const std::vector<Place>&
   return out;
 }
 
+/// The visible edges at a pose, and what the picture has within `range` pixels of them.
+std::vector<EdgeSample> Tracker::State::edges_at(const Pose& pose, double spacing_px, double range) const {
+  std::vector<EdgeSample> samples = sample_edges(model, lens, pose, spacing_px, kSlack);
+  match_edges(gradient, range, options.least_cosine, samples);
+  return samples;
+}
+
 void Tracker::State::measure(const Pose& pose, double range, double pixels, Measured& out) const {
-  out.samples = sample_edges(model, lens, pose, options.spacing_px, kSlack);
-  match_edges(gradient, range, options.least_cosine, out.samples);
+  out.samples = edges_at(pose, options.spacing_px, range);
   out.looks = taught.looks(pose, 0);
   out.log_weight = log_likelihood(summarise(out.samples), range, options.likelihood) +
                    texture_likelihood(pose) + log_looks(out.looks, pixels);
@@ -105,12 +111,8 @@ void Tracker::State::refine_one(const Pose& pose, Measured& m) const {
     m.refined = refine(m.samples, texture_points, lens, from, how).cam_from_object;
   };
   const double near_px = std::max(3.0, options.search_px / 4), weight = m.log_weight, looked = m.looks;
-  const auto search_near = [&] {
-    m.samples = sample_edges(model, lens, m.refined, options.spacing_px, kSlack);
-    match_edges(gradient, near_px, options.least_cosine, m.samples);
-  };
   refine_from(pose);
-  search_near();
+  m.samples = edges_at(m.refined, options.spacing_px, near_px);
   refine_from(m.refined);
   if (!options.reweigh) return void(m.log_weight = weight);
   measure(m.refined, near_px, kLookedAt, m);

@@ -57,6 +57,7 @@ struct Tracker::State {
   void follow_keypoints(const std::vector<Hypothesis>& drawn);
   bool particles_from_views(const Grey& frame, int count, std::vector<Particle>& out);
   bool predict(const Grey& frame, bool by_views, TrackedFrame& out);
+  std::vector<Particle> starting_particles(const std::vector<Particle>& fresh);
   std::vector<Particle> scattered_particles();
   void restart(std::vector<Particle> fresh);
   bool predict_alone(const Grey& frame, TrackedFrame& out);
@@ -68,6 +69,7 @@ struct Tracker::State {
   void follow_motion(const Grey& frame);
   void propose_by_looks();
   std::vector<Particle> particles_around(const std::vector<Place>& places, int count);
+  std::vector<EdgeSample> edges_at(const Pose& pose, double spacing_px, double range) const;
   void measure(const Pose& pose, double range, double pixels, Measured& out) const;
   double texture_likelihood(const Pose& pose) const;
   void refine_one(const Pose& pose, Measured& m) const;
@@ -82,12 +84,14 @@ struct Tracker::State {
   // tracker_estimate.cpp: the pose and its covariance out of the particles
   PosePrior prior_by_looks(const Pose& pose, const MatchSummary& edges) const;
   Refined polish(const Grey& frame, Pose pose, TrackedFrame& out) const;
+  void describe(const Grey& frame, const Pose& pose, TrackedFrame& out) const;
   Matrix6 covariance_of(const Refined& r) const;
   void estimate_pose(const Grey& frame, TrackedFrame& out);
 
   // tracker_verdict.cpp: whether the pose is to be believed
   bool has_taught_size(const Pose& pose) const;
   bool is_near_last() const;
+  bool has_enough_edges(const TrackedFrame& f, bool must_compare, double alike) const;
   bool is_lost(const TrackedFrame& f) const;
   bool determines(const Matrix6& covariance) const;
   bool is_certain(const TrackedFrame& f);
