@@ -36,9 +36,8 @@ inline Eigen::Vector2f sample(const ImageF& g, float x, float y) {
 }
 
 /// Whether bilinear gradients can reach the threshold, by the pixel they start from.
-Raster<std::uint8_t> strong_cells(const ImageF& gradient, double threshold) {
+void find_strong_cells(const ImageF& gradient, double threshold, Raster<std::uint8_t>& strong) {
   const auto least = static_cast<float>(threshold * threshold);
-  Raster<std::uint8_t> strong(gradient.width, gradient.height, 1);
   parallel_for(gradient.height, [&](int y) {
     const float* g = gradient.row(y);
     std::uint8_t* out = strong.row(y);
@@ -50,7 +49,14 @@ Raster<std::uint8_t> strong_cells(const ImageF& gradient, double threshold) {
     for (int x = 0; x + 1 < strong.width; ++x)
       out[x] = static_cast<std::uint8_t>(out[x] | out[x + 1] | next[x] | next[x + 1]);
   }
-  return strong;
+}
+
+/// The raster as a matrix, made anew if it has another size.
+template <class T>
+cv::Mat sized(Raster<T>& raster, const Grey& like, int channels, int type) {
+  if (raster.width != like.width || raster.height != like.height)
+    raster = Raster<T>::unset(like.width, like.height, channels);
+  return {like.height, like.width, type, raster.data.data()};
 }
 
 void insert_nearest(EdgeHypotheses& h, float distance, float strength) {
@@ -69,19 +75,23 @@ void insert_nearest(EdgeHypotheses& h, float distance, float strength) {
 }  // namespace
 
 GradientPicture gradient_of(const Grey& picture, double sigma_px, double least) {
+  GradientPicture out;
+  gradient_of(picture, sigma_px, least, out);
+  return out;
+}
+
+void gradient_of(const Grey& picture, double sigma_px, double least, GradientPicture& out) {
   const cv::Mat grey(picture.height, picture.width, CV_8U, const_cast<std::uint8_t*>(picture.data.data()));
-  cv::Mat smooth, parts[2], both;
+  cv::Mat smooth = sized(out.smooth, picture, 1, CV_32F), both = sized(out.gradient, picture, 2, CV_32FC2);
+  cv::Mat parts[2] = {sized(out.along_x, picture, 1, CV_32F), sized(out.along_y, picture, 1, CV_32F)};
+  sized(out.strong, picture, 1, CV_8U);
   grey.convertTo(smooth, CV_32F);
   if (sigma_px > 0) cv::GaussianBlur(smooth, smooth, {}, sigma_px);
   cv::Scharr(smooth, parts[0], CV_32F, 1, 0, 1.0 / 32);
   cv::Scharr(smooth, parts[1], CV_32F, 0, 1, 1.0 / 32);
-  GradientPicture out;
-  out.gradient = ImageF(picture.width, picture.height, 2);
-  both = cv::Mat(picture.height, picture.width, CV_32FC2, out.gradient.data.data());
   cv::merge(parts, 2, both);
   out.threshold = std::clamp(4 * 1.48 * median_magnitude(out.gradient), least, 3 * least);
-  out.strong = strong_cells(out.gradient, out.threshold);
-  return out;
+  find_strong_cells(out.gradient, out.threshold, out.strong);
 }
 
 EdgeHypotheses search_edges(const GradientPicture& picture, const Eigen::Vector2d& p,
@@ -89,20 +99,29 @@ EdgeHypotheses search_edges(const GradientPicture& picture, const Eigen::Vector2
   const int range = std::clamp(static_cast<int>(std::ceil(range_px)), 1, kMostRange);
   const int count = 2 * range + 3;
   const Eigen::Vector2f nf = n.cast<float>(), first = p.cast<float>() - static_cast<float>(range + 1) * nf;
+  const auto place = [&](int i) -> Eigen::Vector2f { return first + static_cast<float>(i) * nf; };
+  const auto inside = [&](const Eigen::Vector2f& q) {
+    return q.x() >= 0 && q.y() >= 0 && q.x() < static_cast<float>(picture.gradient.width - 1) &&
+           q.y() < static_cast<float>(picture.gradient.height - 1);
+  };
   // Where no pixel around reaches the threshold nothing is interpolated: most of a picture is like that.
-  std::array<bool, 2 * kMostRange + 5> near = {};  // by i + 1
+  std::array<bool, 2 * kMostRange + 5> near;  // by i + 1
+  near[0] = near[count + 1] = false;
+  const bool all_inside = inside(place(0)) && inside(place(count - 1));
+  bool any = false;
   for (int i = 0; i < count; ++i) {
-    const Eigen::Vector2f q = first + static_cast<float>(i) * nf;
-    near[i + 1] = q.x() >= 0 && q.y() >= 0 && q.x() < static_cast<float>(picture.gradient.width - 1) &&
-                  q.y() < static_cast<float>(picture.gradient.height - 1) &&
-                  picture.strong.at(static_cast<int>(q.x()), static_cast<int>(q.y())) != 0;
+    const Eigen::Vector2f q = place(i);
+    near[i + 1] =
+        (all_inside || inside(q)) && picture.strong.at(static_cast<int>(q.x()), static_cast<int>(q.y())) != 0;
+    any = any || near[i + 1];
   }
+  if (!any) return {};
   std::array<float, 2 * kMostRange + 3> response;
   std::array<Eigen::Vector2f, 2 * kMostRange + 3> gradient;
   for (int i = 0; i < count; ++i) {
     response[i] = 0;
     if (!near[i] && !near[i + 1] && !near[i + 2]) continue;
-    const Eigen::Vector2f q = first + static_cast<float>(i) * nf;
+    const Eigen::Vector2f q = place(i);
     gradient[i] = sample(picture.gradient, q.x(), q.y());
     response[i] = gradient[i].dot(nf);
   }

@@ -10,11 +10,13 @@
 #include <opencv2/calib3d.hpp>
 #include <opencv2/features2d.hpp>
 #include <opencv2/flann.hpp>
+#include <optional>
 #include <random>
 
 #include "core/error.h"
 #include "core/image_io.h"
 #include "core/json.h"
+#include "core/parallel.h"
 
 namespace stuv::tracking {
 namespace {
@@ -356,6 +358,33 @@ class SetDrawer {
   std::map<int, std::vector<int>> friends_;
 };
 
+/// The pose of the first `drawn` matches of an order, weighed by equation 5 on the others.
+std::optional<Hypothesis> hypothesis_of(const std::vector<KeypointMatch>& matches,
+                                        const std::vector<Eigen::Vector3d>& rays,
+                                        const std::vector<int>& order, const Lens& lens,
+                                        const HypothesisOptions& options) {
+  std::vector<cv::Point3d> points;
+  std::vector<cv::Point2d> directions;
+  for (int k = 0; k < options.drawn; ++k) {
+    const Eigen::Vector3d &x = matches[order[k]].point.x, &ray = rays[order[k]];
+    points.emplace_back(x.x(), x.y(), x.z());
+    directions.emplace_back(ray.x() / ray.z(), ray.y() / ray.z());
+  }
+  Hypothesis h;
+  if (!epnp(points, directions, h.cam_from_object)) return {};
+  int inliers = 0;
+  for (int k = 0; k < static_cast<int>(order.size()); ++k) {
+    Eigen::Vector2d q;
+    const PointMatch& m = matches[order[k]].point;
+    const bool seen = lens.project(h.cam_from_object * m.x, q);
+    if (k < options.drawn && !seen) return {};
+    if (k >= options.drawn && seen && (q - m.q).norm() < options.inlier_px) ++inliers;
+  }
+  const int left = static_cast<int>(matches.size()) - options.drawn;
+  h.log_weight = -options.lambda_c * (left - inliers) / left;
+  return h;
+}
+
 }  // namespace
 
 std::vector<Hypothesis> draw_hypotheses(const std::vector<KeypointMatch>& matches, const Lens& lens,
@@ -366,34 +395,15 @@ std::vector<Hypothesis> draw_hypotheses(const std::vector<KeypointMatch>& matche
   const std::vector<Eigen::Vector3d> rays = unproject(lens.camera(), pixels);
   SetDrawer drawer(matches, options.drawn, seed);
   std::vector<Hypothesis> hypotheses;
-  for (int tries = 0; tries < 10 * options.count && static_cast<int>(hypotheses.size()) < options.count;
-       ++tries) {
-    const std::vector<int> order = drawer.draw();
-    std::vector<cv::Point3d> points;
-    std::vector<cv::Point2d> directions;
-    for (int k = 0; k < options.drawn; ++k) {
-      const Eigen::Vector3d& x = matches[order[k]].point.x;
-      points.emplace_back(x.x(), x.y(), x.z());
-      directions.emplace_back(rays[order[k]].x() / rays[order[k]].z(),
-                              rays[order[k]].y() / rays[order[k]].z());
-    }
-    Hypothesis h;
-    if (!epnp(points, directions, h.cam_from_object)) continue;
-    int inliers = 0;
-    bool in_front = true;
-    const int left = static_cast<int>(matches.size()) - options.drawn;
-    for (std::size_t k = 0; k < order.size(); ++k) {
-      Eigen::Vector2d q;
-      const PointMatch& m = matches[order[k]].point;
-      const bool seen = lens.project(h.cam_from_object * m.x, q);
-      if (static_cast<int>(k) < options.drawn)
-        in_front = in_front && seen;
-      else
-        inliers += seen && (q - m.q).norm() < options.inlier_px ? 1 : 0;
-    }
-    if (!in_front) continue;
-    h.log_weight = -options.lambda_c * (left - inliers) / left;
-    hypotheses.push_back(h);
+  // As many sets at a time as poses are wanted: drawn one after the other, solved side by side.
+  for (int tries = 0; tries < 10 && static_cast<int>(hypotheses.size()) < options.count; ++tries) {
+    std::vector<std::vector<int>> orders(static_cast<std::size_t>(options.count));
+    for (std::vector<int>& order : orders) order = drawer.draw();
+    std::vector<std::optional<Hypothesis>> solved(orders.size());
+    parallel_for(options.count,
+                 [&](int i) { solved[i] = hypothesis_of(matches, rays, orders[i], lens, options); });
+    for (const auto& h : solved)
+      if (h && static_cast<int>(hypotheses.size()) < options.count) hypotheses.push_back(*h);
   }
   return hypotheses;
 }

@@ -30,6 +30,8 @@ double widest_tan2(const Camera& camera) {
 
 Lens::Lens(const Camera& camera) : camera_(camera), width_(camera.width), height_(camera.height) {
   validate(camera, camera.name);
+  focal_ = {camera.intrinsics[0], camera.intrinsics[1]};
+  centre_ = {camera.intrinsics[2], camera.intrinsics[3]};
   focal_px_ = std::sqrt(std::abs(camera.intrinsics[0] * camera.intrinsics[1]));
   pinhole_ = camera.lens_model == "LENSMODEL_PINHOLE";
   const auto mrcal = std::make_shared<mrcal_lensmodel_t>();
@@ -38,15 +40,9 @@ Lens::Lens(const Camera& camera) : camera_(camera), width_(camera.width), height
   most_tan2_ = pinhole_ ? std::numeric_limits<double>::infinity() : widest_tan2(camera) * 16 / 9;
 }
 
-bool Lens::project(const Eigen::Vector3d& x, Eigen::Vector2d& q,
-                   Eigen::Matrix<double, 2, 3>* derivative) const {
+bool Lens::project_bent(const Eigen::Vector3d& x, Eigen::Vector2d& q,
+                        Eigen::Matrix<double, 2, 3>* derivative) const {
   if (!(x.z() > 0) || !(x.head<2>().squaredNorm() <= most_tan2_ * x.z() * x.z())) return false;
-  if (pinhole_) {
-    const double fx = camera_.intrinsics[0] / x.z(), fy = camera_.intrinsics[1] / x.z();
-    q = {fx * x.x() + camera_.intrinsics[2], fy * x.y() + camera_.intrinsics[3]};
-    if (derivative != nullptr) *derivative << fx, 0, -fx * x.x() / x.z(), 0, fy, -fy * x.y() / x.z();
-    return q.allFinite();
-  }
   mrcal_point2_t pixel;
   mrcal_point3_t gradient[2];
   const mrcal_point3_t point = {{x.x(), x.y(), x.z()}};

@@ -42,7 +42,11 @@ void collect(const std::vector<EdgeSample>& samples, const std::vector<PointMatc
   for (const EdgeSample& sample : samples) {
     if (sample.found.count == 0 || !lens.project(pose * sample.x, q, &by_point)) continue;
     const double e = nearest_residual(sample, q);
-    out.push_back({e, 1, sample.n.transpose() * pose_derivative(by_point, pose, sample.x), false});
+    // n^T times pose_derivative.
+    const Eigen::Vector3d v = pose.R.transpose() * (by_point.transpose() * sample.n);
+    Residual& r = out.emplace_back();
+    r.e = e;
+    r.J << v.transpose(), sample.x.cross(v).transpose();
   }
   for (const PointMatch& point : points) {
     if (!lens.project(pose * point.x, q, &by_point)) continue;

@@ -29,8 +29,12 @@ Outline::Outline(const std::vector<OutlineEdge>& edges, const Lens& lens, const 
 
 bool Outline::is_near(const Eigen::Vector2d& q, double distance_px) const {
   return std::any_of(segments_.begin(), segments_.end(), [&](const Segment& s) {
-    const double t = std::clamp(s.along.dot(q - s.from) * s.per_length2, 0.0, 1.0);
-    return (q - s.from - t * s.along).squaredNorm() <= distance_px * distance_px;
+    // Most are far from the whole line.
+    const Eigen::Vector2d d = q - s.from;
+    const double across = s.along.x() * d.y() - s.along.y() * d.x();
+    if (across * across * s.per_length2 > distance_px * distance_px) return false;
+    const double t = std::clamp(s.along.dot(d) * s.per_length2, 0.0, 1.0);
+    return (d - t * s.along).squaredNorm() <= distance_px * distance_px;
   });
 }
 

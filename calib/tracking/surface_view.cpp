@@ -10,13 +10,15 @@
 namespace stuv::tracking {
 namespace {
 
-/// Cosine of the steepest slant at which a surface is taught, 75 degrees, and compared: 87 degrees. A side
+/// Cosine of the steepest slant at which a surface is taught, 75 degrees, and compared: 84 degrees. A side
 /// that is seen steeply says that the background is not there.
-constexpr double kLeastSlant = 0.26, kLeastSeen = 0.05;
+constexpr double kLeastSlant = 0.26, kLeastSeen = 0.1;
 /// Least standard deviation of a view's brightness, and of the print on its faces [grey levels].
 constexpr double kLeastContrast = 2.5, kLeastPrint = 5;
 /// Differences in brightness below this are no pattern [grey levels]; gains of the exposure that are fitted.
 constexpr double kPattern = 10, kLeastGain = 0.4, kMostGain = 2.5;
+/// Smoothing of the finest level.
+constexpr double kSmooth_px = 1;
 /// How far inside the outline points lie, as part of the object's size, and at most [px]: where the outline
 /// is off by more than a little, points near it see the background.
 constexpr double kInside = 0.04, kMostInside_px = 2;
@@ -38,7 +40,7 @@ cv::Mat mat_of(const ImageF& picture) {
 /// The levels of one float picture, as matrices.
 std::array<cv::Mat, SmoothPyramid::count> levels_of(const cv::Mat& picture) {
   std::array<cv::Mat, SmoothPyramid::count> levels;
-  cv::GaussianBlur(picture, levels[0], {}, 1.0);
+  cv::GaussianBlur(picture, levels[0], {}, kSmooth_px);
   for (int l = 1; l < SmoothPyramid::count; ++l) cv::pyrDown(levels[l - 1], levels[l]);
   return levels;
 }
@@ -65,24 +67,54 @@ bool sample(const ImageF& picture, const Eigen::Vector2d& q, float& value) {
   return sample([&](int y) { return picture.row(y); }, picture.width, picture.height, q.x(), q.y(), value);
 }
 
+/// And its central differences; false where a neighbour is outside.
+bool sample(const ImageF& picture, const Eigen::Vector2d& q, float& value, Eigen::RowVector2d& gradient) {
+  const double x = q.x(), y = q.y();
+  if (!(x >= 1 && y >= 1 && x < picture.width - 2 && y < picture.height - 2)) return false;
+  const int ix = static_cast<int>(x), iy = static_cast<int>(y);
+  const float fx = static_cast<float>(x - ix), fy = static_cast<float>(y - iy);
+  const float *a = picture.row(iy - 1) + ix, *b = picture.row(iy) + ix, *c = picture.row(iy + 1) + ix,
+              *d = picture.row(iy + 2) + ix;
+  const auto along = [fx](const float* row, int k) { return (1 - fx) * row[k] + fx * row[k + 1]; };
+  const auto across = [fy](float above, float below) { return (1 - fy) * above + fy * below; };
+  const float middle_b = along(b, 0), middle_c = along(c, 0);
+  value = across(middle_b, middle_c);
+  gradient = {0.5 * across(along(b, 1) - along(b, -1), along(c, 1) - along(c, -1)),
+              0.5 * across(middle_c - along(a, 0), along(d, 0) - middle_b)};
+  return true;
+}
+
 /// How near to the outline the background is mixed in: coarser levels are smoother.
 double margin_px(const SurfaceView& view, int level) { return (1 + level) * view.inside_px; }
 
-bool faces(const SurfaceView::Point& p, const Eigen::Vector3d& eye, double least) {
+/// How large an area of the picture a piece of surface at a point takes, seen from `eye`: cos / distance^2;
+/// 0 if its slant has a cosine below `least`.
+double area_seen(const SurfaceView::Point& p, const Eigen::Vector3d& eye, double least) {
   const Eigen::Vector3d ray = eye - p.x;
-  return p.n.dot(ray) > least * ray.norm();
+  const double square = ray.squaredNorm(), length = std::sqrt(square), across = p.n.dot(ray);
+  return across > least * length ? across / (square * length) : 0;
+}
+
+/// The part of the area that the point was taught on which it is seen from `eye`; 0: it is turned away. A
+/// side that turns away shows less than was taught, and at the right pose looks unlike it: counted in full it
+/// would prefer poses that hide it.
+double weight_from(const SurfaceView::Point& p, const Eigen::Vector3d& eye) {
+  return std::min(1.0, area_seen(p, eye, kLeastSeen) / p.area);
 }
 
 struct Sums {
   double n = 0, a = 0, b = 0, aa = 0, bb = 0, ab = 0;
-  void add(double u, double v) { n += 1, a += u, b += v, aa += u * u, bb += v * v, ab += u * v; }
+  void add(double u, double v, double weight = 1) {
+    const double wu = weight * u, wv = weight * v;
+    n += weight, a += wu, b += wv, aa += wu * u, bb += wv * v, ab += wu * v;
+  }
 };
 
 /// Sums of squares about the mean.
 struct Moments {
   double aa = 0, bb = 0, ab = 0;
   void add(const Sums& s) {
-    if (s.n < 1) return;
+    if (!(s.n > 0)) return;
     aa += s.aa - s.a * s.a / s.n, bb += s.bb - s.b * s.b / s.n, ab += s.ab - s.a * s.b / s.n;
   }
   double fit(double n) const {
@@ -131,10 +163,10 @@ void add_grid(const ObjectModel& model, const std::array<int, 3>& triangle, doub
   }
 }
 
-/// One row of the normal equations: derivative by twist, gain, offset; residual.
+/// One row of the normal equations: derivative by twist, gain, offset; residual; part of its area seen.
 struct Row {
   Twist J;
-  double e = 0, taught = 0;
+  double e = 0, taught = 0, weight = 1;
   double slope = 0;  ///< the gradient's size [grey levels per px]
   int view = 0;
 };
@@ -155,25 +187,22 @@ bool collect(const SurfaceView& view, const SmoothPyramid& picture, int level, c
   const double margin = margin_px(view, level);
   Eigen::Vector2d q;
   Eigen::Matrix<double, 2, 3> by_point;
+  Eigen::RowVector2d gradient;
+  float value;
   std::size_t seen = 0;
   for (std::size_t j = 0; j < view.points.size(); j += stride) {
     const SurfaceView::Point& p = view.points[j];
-    if (!faces(p, eye, kLeastSeen) || !lens.project(pose * p.x, q, &by_point)) continue;
+    const double weight = weight_from(p, eye);
+    if (!(weight > 0) || !lens.project(pose * p.x, q, &by_point)) continue;
     ++seen;
-    if (outline.is_near(q, margin)) continue;
-    q *= scale;
-    float value, left, right, up, down;
-    if (!sample(frame, q, value) || !sample(frame, q - Eigen::Vector2d(1, 0), left) ||
-        !sample(frame, q + Eigen::Vector2d(1, 0), right) || !sample(frame, q - Eigen::Vector2d(0, 1), up) ||
-        !sample(frame, q + Eigen::Vector2d(0, 1), down))
-      continue;
-    const Eigen::RowVector2d gradient(0.5 * scale * (right - left), 0.5 * scale * (down - up));
-    const Eigen::RowVector3d by_v = gradient * by_point * pose.R;
+    if (outline.is_near(q, margin) || !sample(frame, scale * q, value, gradient)) continue;
+    gradient *= scale;
+    const Eigen::Vector3d by_v = pose.R.transpose() * (gradient * by_point).transpose();
     Row row;
-    row.J.head<3>() = by_v.transpose();
-    row.J.tail<3>() = -(by_v * cross_matrix(p.x)).transpose();
+    row.J << by_v, p.x.cross(by_v);
     row.taught = p.value[level];
     row.e = value;
+    row.weight = weight;
     row.slope = gradient.norm();
     row.view = number;
     rows.push_back(row);
@@ -195,8 +224,8 @@ double robust_deviation(std::vector<double>& e) {
 Eigen::Vector2d exposure_of(const std::vector<Row>& rows, int view) {
   Sums s;
   for (const Row& r : rows)
-    if (r.view == view) s.add(r.taught, r.e);
-  if (s.n < 1) return {1, 0};
+    if (r.view == view) s.add(r.taught, r.e, r.weight);
+  if (!(s.n > 0)) return {1, 0};
   const double va = s.aa - s.a * s.a / s.n, gain = va > 0 ? (s.ab - s.a * s.b / s.n) / va : 1;
   // A gain near 0 or below says nothing of the pose.
   const double kept = std::clamp(gain, 0.2, 5.0);
@@ -212,20 +241,32 @@ struct Level {
 
 /// Normal equations of the weighted residuals by twist and each view's gain and offset.
 void normal_equations(const std::vector<Row>& rows, double deviation, Normal& H, Unknowns& g) {
-  H.setZero();
-  g.setZero();
-  Unknowns J = g;
+  // A row knows the twist and its own view's gain and offset only.
+  using Vector8 = Eigen::Matrix<double, 8, 1>;
+  std::array<Eigen::Matrix<double, 8, 8>, kMostViews> JtJ;
+  std::array<Vector8, kMostViews> Jte;
+  JtJ.fill(Eigen::Matrix<double, 8, 8>::Zero());
+  Jte.fill(Vector8::Zero());
+  Vector8 J;
   for (const Row& r : rows) {
     const double u = r.e / (4.685 * deviation);
     if (std::abs(u) >= 1) continue;
     const double by_model = kModelError_px * r.slope;
-    const double w = (1 - u * u) * (1 - u * u) / (kAlike * (deviation * deviation + by_model * by_model));
-    J.setZero();
-    J.head<6>() = r.J;
-    J[6 + 2 * r.view] = -r.taught;
-    J[7 + 2 * r.view] = -1;
-    H.noalias() += w * J * J.transpose();
-    g.noalias() -= w * r.e * J;
+    const double w =
+        r.weight * (1 - u * u) * (1 - u * u) / (kAlike * (deviation * deviation + by_model * by_model));
+    J << r.J, -r.taught, -1;
+    JtJ[r.view].noalias() += w * J * J.transpose();
+    Jte[r.view].noalias() += w * r.e * J;
+  }
+  H.setZero();
+  g.setZero();
+  for (Eigen::Index v = 0, at = 6; at < g.size(); ++v, at += 2) {
+    H.topLeftCorner<6, 6>() += JtJ[v].topLeftCorner<6, 6>();
+    H.block<6, 2>(0, at) = JtJ[v].topRightCorner<6, 2>();
+    H.block<2, 6>(at, 0) = JtJ[v].bottomLeftCorner<2, 6>();
+    H.block<2, 2>(at, at) = JtJ[v].bottomRightCorner<2, 2>();
+    g.head<6>() -= Jte[v].head<6>();
+    g.segment<2>(at) = -Jte[v].tail<2>();
   }
 }
 
@@ -265,14 +306,74 @@ bool align_level(const Level& l, const Matrix6& prior, const Pose& start, Alignm
 
 }  // namespace
 
-SmoothPyramid smooth_pyramid(const Grey& picture) {
-  const auto levels = levels_of(float_of(picture));
-  SmoothPyramid out;
-  for (int l = 0; l < SmoothPyramid::count; ++l) {
-    out.levels[l] = ImageF::unset(levels[l].cols, levels[l].rows, 1);
-    levels[l].copyTo(mat_of(out.levels[l]));
+namespace {
+
+/// 255 where the patch shows the object.
+cv::Mat object_of(const DepthPatch& patch) {
+  cv::Mat there(patch.depth.height, patch.depth.width, CV_8U, cv::Scalar(0));
+  for (int y = 0; y < there.rows; ++y)
+    for (int x = 0; x < there.cols; ++x)
+      if (std::isfinite(patch.depth.at(x, y))) there.at<std::uint8_t>(y, x) = 255;
+  return there;
+}
+
+/// What of a mask is farther than `by` pixels from its outline.
+cv::Mat shrunk(const cv::Mat& mask, int by) {
+  cv::Mat inside;
+  cv::erode(mask, inside, cv::Mat::ones(2 * by + 1, 2 * by + 1, CV_8U), {-1, -1}, 1, cv::BORDER_CONSTANT,
+            cv::Scalar(0));
+  return inside;
+}
+
+/// A taught picture smoothed over the object's pixels only.
+class ObjectAlone {
+ public:
+  ObjectAlone(const Grey& picture, const DepthPatch& patch, const cv::Mat& there) {
+    cv::Mat mask(picture.height, picture.width, CV_32F, cv::Scalar(0));
+    there.convertTo(mask({patch.x0, patch.y0, there.cols, there.rows}), CV_32F, 1.0 / 255);
+    sums_ = levels_of(float_of(picture).mul(mask));
+    weights_ = levels_of(mask);
   }
+
+  /// On each level; false where one is not known.
+  bool brightness_at(double x, double y, std::array<float, SmoothPyramid::count>& value) const {
+    const auto in = [](const cv::Mat& m) { return [&m](int row) { return m.ptr<float>(row); }; };
+    for (int l = 0; l < SmoothPyramid::count; ++l) {
+      const double scale = 1.0 / (1 << l);
+      const cv::Mat &sums = sums_[l], &weights = weights_[l];
+      float sum = 0, weight = 0;
+      if (!sample(in(sums), sums.cols, sums.rows, scale * x, scale * y, sum) ||
+          !sample(in(weights), weights.cols, weights.rows, scale * x, scale * y, weight) || !(weight > 0.05F))
+        return false;
+      value[l] = sum / weight;
+    }
+    return true;
+  }
+
+ private:
+  std::array<cv::Mat, SmoothPyramid::count> sums_, weights_;
+};
+
+}  // namespace
+
+SmoothPyramid smooth_pyramid(const Grey& picture) {
+  SmoothPyramid out;
+  smooth_pyramid(picture, out);
   return out;
+}
+
+void smooth_pyramid(const Grey& picture, SmoothPyramid& out) {
+  int width = picture.width, height = picture.height;
+  for (ImageF& level : out.levels) {
+    if (level.width != width || level.height != height) level = ImageF::unset(width, height, 1);
+    width = (width + 1) / 2, height = (height + 1) / 2;
+  }
+  cv::Mat finest = mat_of(out.levels[0]);
+  cv::Mat(picture.height, picture.width, CV_8U, const_cast<std::uint8_t*>(picture.data.data()))
+      .convertTo(finest, CV_32F);
+  cv::GaussianBlur(finest, finest, {}, kSmooth_px);
+  for (int l = 1; l < SmoothPyramid::count; ++l)
+    cv::pyrDown(mat_of(out.levels[l - 1]), mat_of(out.levels[l]));
 }
 
 SurfaceView surface_view(const TexturedView& view, const ObjectModel& model, const ImageF& rays, int most) {
@@ -283,26 +384,11 @@ SurfaceView surface_view(const TexturedView& view, const ObjectModel& model, con
   const int width = patch.depth.width, height = patch.depth.height;
   if (width < 3 || height < 3) return out;
   const Eigen::Vector3d eye = view.cam_from_object.centre();
-  // Far enough from its outline.
-  cv::Mat inside;
-  {
-    cv::Mat there(height, width, CV_8U, cv::Scalar(0));
-    for (int y = 0; y < height; ++y)
-      for (int x = 0; x < width; ++x)
-        if (std::isfinite(patch.depth.at(x, y))) there.at<std::uint8_t>(y, x) = 255;
-    const double size = std::sqrt(static_cast<double>(cv::countNonZero(there)));
-    const int by = static_cast<int>(std::lround(std::clamp(kInside * size, 1.0, kMostInside_px)));
-    out.inside_px = by;
-    cv::erode(there, inside, cv::Mat::ones(2 * by + 1, 2 * by + 1, CV_8U), {-1, -1}, 1, cv::BORDER_CONSTANT,
-              cv::Scalar(0));
-  }
-  // The object alone, smoothed: over its pixels only.
-  cv::Mat mask(view.picture.height, view.picture.width, CV_32F, cv::Scalar(0));
-  int pixels = 0;
-  for (int y = 0; y < height; ++y)
-    for (int x = 0; x < width; ++x)
-      if (std::isfinite(patch.depth.at(x, y))) mask.at<float>(y + patch.y0, x + patch.x0) = 1, ++pixels;
-  const auto sums = levels_of(float_of(view.picture).mul(mask)), weights = levels_of(mask);
+  const cv::Mat there = object_of(patch);
+  const int pixels = cv::countNonZero(there);
+  out.inside_px = std::round(std::clamp(kInside * std::sqrt(double(pixels)), 1.0, kMostInside_px));
+  const cv::Mat inside = shrunk(there, static_cast<int>(out.inside_px));
+  const ObjectAlone alone(view.picture, patch, there);
   const double step = std::max(1.0, std::sqrt(pixels / static_cast<double>(std::max(1, most))));
   std::vector<int> face_number(model.face_normals.size(), -1);
   const Pose object_from_cam = view.cam_from_object.inverse();
@@ -316,17 +402,9 @@ SurfaceView surface_view(const TexturedView& view, const ObjectModel& model, con
       p.x = object_from_cam * (double(patch.depth.at(x, y)) * Eigen::Vector3d(ray[0], ray[1], 1));
       p.n = model.face_normals[face];
       if (p.n.dot(eye - p.x) < 0) p.n = -p.n;
-      if (!faces(p, eye, kLeastSlant)) continue;
-      bool known = true;
-      for (int l = 0; l < SmoothPyramid::count && known; ++l) {
-        const double scale = 1.0 / (1 << l), qx = scale * (x + patch.x0), qy = scale * (y + patch.y0);
-        float sum = 0, weight = 0;
-        const auto in = [&](const cv::Mat& m) { return [&m](int row) { return m.ptr<float>(row); }; };
-        known = sample(in(sums[l]), sums[l].cols, sums[l].rows, qx, qy, sum) &&
-                sample(in(weights[l]), weights[l].cols, weights[l].rows, qx, qy, weight) && weight > 0.05F;
-        p.value[l] = known ? sum / weight : 0;
-      }
-      if (!known) continue;
+      p.area = area_seen(p, eye, kLeastSlant);
+      if (!(p.area > 0)) continue;
+      if (!alone.brightness_at(x + patch.x0, y + patch.y0, p.value)) continue;
       if (face_number[face] < 0) face_number[face] = out.faces++, out.face_of.push_back(face);
       p.face = face_number[face];
       out.points.push_back(p);
@@ -354,7 +432,8 @@ void add_unseen_faces(const ObjectModel& model, SurfaceView& view) {
     if (!out) continue;
     for (std::size_t t = 0; t < model.triangles.size(); ++t)
       if (model.face_of_triangle[t] == static_cast<int>(f))
-        add_grid(model, model.triangles[t], view.spacing, {{}, *out, view.unseen_faces, {}}, view.unseen);
+        add_grid(model, model.triangles[t], view.spacing,
+                 {{}, *out, view.unseen_faces, {}, 1 / view.cam_from_object.t.squaredNorm()}, view.unseen);
     ++view.unseen_faces;
   }
   shuffle(view.unseen);
@@ -371,16 +450,18 @@ Likeness likeness(const SurfaceView& view, const SmoothPyramid& picture, int lev
   const Outline outline(view.edges, lens, pose);
   const double margin = margin_px(view, level);
   std::size_t seen = 0;
+  int inside = 0;
   Eigen::Vector2d q;
   for (std::size_t j = 0; j < count; ++j) {
     const SurfaceView::Point& p = view.points[j];
+    const double weight = weight_from(p, eye);
     float value;
-    if (!faces(p, eye, kLeastSeen) || !lens.project(pose * p.x, q) || !sample(frame, scale * q, value))
-      continue;
+    if (!(weight > 0) || !lens.project(pose * p.x, q) || !sample(frame, scale * q, value)) continue;
     ++seen;
     if (outline.is_near(q, margin)) continue;
-    by_face[p.face].add(p.value[level], value);
-    whole.add(p.value[level], value);
+    ++inside;
+    by_face[p.face].add(p.value[level], value, weight);
+    whole.add(p.value[level], value, weight);
   }
   constexpr double nan = std::numeric_limits<double>::quiet_NaN();
   std::vector<Sums> by_unseen(static_cast<std::size_t>(view.unseen_faces));
@@ -388,12 +469,13 @@ Likeness likeness(const SurfaceView& view, const SmoothPyramid& picture, int lev
   const std::size_t count_unseen = count * view.unseen.size() / std::max<std::size_t>(1, view.points.size());
   for (std::size_t j = 0; j < std::min(count_unseen, view.unseen.size()); ++j) {
     const SurfaceView::Point& p = view.unseen[j];
+    const double weight = weight_from(p, eye);
     float value;
-    if (faces(p, eye, kLeastSeen) && lens.project(pose * p.x, q) && sample(frame, scale * q, value) &&
+    if (weight > 0 && lens.project(pose * p.x, q) && sample(frame, scale * q, value) &&
         !outline.is_near(q, margin))
-      by_unseen[p.face].add(0, value);
+      by_unseen[p.face].add(0, value, weight);
   }
-  if (whole.n < kLeastPoints || static_cast<double>(seen) < kLeastPart * static_cast<double>(count))
+  if (inside < kLeastPoints || static_cast<double>(seen) < kLeastPart * static_cast<double>(count))
     return {nan, nan, nan};
   Moments all, print;
   all.add(whole);
@@ -406,7 +488,7 @@ Likeness likeness(const SurfaceView& view, const SmoothPyramid& picture, int lev
 }
 
 Alignment align(std::span<const SurfaceView* const> views, const SmoothPyramid& picture, int from,
-                const Lens& lens, const Pose& cam_from_object, const Twist& spread) {
+                const Lens& lens, const Pose& cam_from_object, const Twist& spread, int to) {
   Alignment out;
   out.cam_from_object = cam_from_object;
   // From the camera's axes into the object's: cov = D S D^T with D a rotation, so its inverse is alike.
@@ -415,7 +497,7 @@ Alignment align(std::span<const SurfaceView* const> views, const SmoothPyramid& 
   for (const int k : {0, 3})
     prior.block<3, 3>(k, k) =
         cam_from_object.R.transpose() * inverse.segment<3>(k).asDiagonal() * cam_from_object.R;
-  for (int level = std::min(from, SmoothPyramid::count - 1); level >= 0; --level)
+  for (int level = std::min(from, SmoothPyramid::count - 1); level >= to; --level)
     if (!align_level({views, picture, level, lens}, prior, cam_from_object, out)) return out;
   out.converged = true;
   return out;

@@ -16,6 +16,8 @@ struct SmoothPyramid {
   std::array<ImageF, count> levels;
 };
 SmoothPyramid smooth_pyramid(const Grey& picture);
+/// The same into what is there: pictures of the same size cost no new memory.
+void smooth_pyramid(const Grey& picture, SmoothPyramid& out);
 
 /// A taught view as points of the object's surface with the brightness seen there, smoothed as SmoothPyramid
 /// does but over the object only: what lies behind it is not the object's.
@@ -24,6 +26,7 @@ struct SurfaceView {
     Eigen::Vector3d x, n;  ///< in the object's frame; unit normal towards the taught view
     int face = 0;          ///< counts the faces of this view from 0
     std::array<float, SmoothPyramid::count> value = {};
+    double area = 1;  ///< that a piece of surface there takes in the taught picture, cos / distance^2
   };
   Pose cam_from_object;
   std::vector<Point> points;  ///< in an order such that the first few are spread over all of the object
@@ -53,7 +56,7 @@ void add_unseen_faces(const ObjectModel& model, SurfaceView& view);
 /// How a picture looks where the surface's points fall: zero-mean normalised correlation with what the view
 /// shows there, over the points that face the camera and lie `inside_px` (on coarser levels two and three
 /// times that) inside its outline from there, too: what was well inside the object where it was taught may be
-/// its rim now.
+/// its rim now. A point counts by the part of its taught area in the picture that it still has.
 struct Likeness {
   /// 1 - (mean square of I - a T - b) / max(var I, a^2 var T, 10^2), the gain a within 0.4 .. 2.5: a plain
   /// side is like any plain place, but not like one with a pattern. Each unseen face has a T of its own that
@@ -74,7 +77,8 @@ struct Alignment {
   bool converged = false;
 };
 
-/// Direct alignment on brightness (Lucas and Kanade on SE(3)), from level `from` to 0, at most 8 steps each:
+/// Direct alignment on brightness (Lucas and Kanade on SE(3)), from level `from` to `to`, at most 8 steps
+/// each:
 ///
 ///   min over mu, a, b of sum_v sum_j w_j (I(pi(X exp(mu) x_j)) - a_v T_j - b_v)^2 + mu^T P mu
 ///
@@ -86,6 +90,6 @@ struct Alignment {
 /// camera are left out.
 constexpr int kMostViews = 2;
 Alignment align(std::span<const SurfaceView* const> views, const SmoothPyramid& picture, int from,
-                const Lens& lens, const Pose& cam_from_object, const Twist& spread);
+                const Lens& lens, const Pose& cam_from_object, const Twist& spread, int to = 0);
 
 }  // namespace stuv::tracking

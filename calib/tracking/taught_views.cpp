@@ -115,10 +115,10 @@ double TaughtViews::looks(const Pose& pose, int level) const {
   return std::isnan(fit) ? 0 : fit;
 }
 
-Alignment TaughtViews::aligned(const Pose& pose, int from) const {
+Alignment TaughtViews::aligned(const Pose& pose, int from, int to) const {
   const std::vector<const SurfaceView*> near = surfaces_for(pose);
   if (near.empty()) return {};
-  return align(near, pyramid_, from, lens_, pose, one_pixel(pose.t.z(), lens_.focal_px()) * kSpread_px);
+  return align(near, pyramid_, from, lens_, pose, one_pixel(pose.t.z(), lens_.focal_px()) * kSpread_px, to);
 }
 
 std::vector<Place> TaughtViews::best_places(const std::vector<Pose>& poses, int most) const {
@@ -142,7 +142,8 @@ std::vector<Place> TaughtViews::best_places(const std::vector<Pose>& poses, int 
   parallel_for(static_cast<int>(chosen.size()), [&](int i) {
     Place& place = chosen[i];
     place.looks = looks(place.pose, 1);
-    const Alignment better = aligned(place.pose, 2);
+    // Not to the finest level: edges refine what starts here.
+    const Alignment better = aligned(place.pose, 2, 1);
     const double looks_then = better.converged ? looks(better.cam_from_object, 1) : 0;
     if (looks_then > place.looks + kNoDifference) place = {better.cam_from_object, looks_then};
   });

@@ -45,7 +45,7 @@ class TaughtViews {
   const ImageF& rays() const { return rays_; }
 
   /// What `likeness_at`, `looks`, `aligned` and `best_places` look at from now on.
-  void look_at(const Grey& frame) { pyramid_ = smooth_pyramid(frame); }
+  void look_at(const Grey& frame) { smooth_pyramid(frame, pyramid_); }
   /// From now on all poses are compared with the views near this one, or each with those nearest to itself.
   void compare_near(const Pose& pose) { compared_ = surfaces_near(pose); }
   void compare_nearest() { compared_.clear(); }
@@ -65,7 +65,8 @@ class TaughtViews {
   Likeness likeness_at(const Pose& pose, int level, int points) const;
   /// Likeness to the taught views by a few points, 0 where it is not known.
   double looks(const Pose& pose, int level) const;
-  Alignment aligned(const Pose& pose, int from) const;
+  /// See align: from level `from` down to `to`.
+  Alignment aligned(const Pose& pose, int from, int to) const;
   /// The places that look most like a taught view, aligned with it, most alike first.
   std::vector<Place> best_places(const std::vector<Pose>& poses, int most) const;
 

@@ -41,12 +41,11 @@ TrackedFrame Tracker::State::track(const Grey& frame) {
   TrackedFrame out;
   ++frame_number;
   random.seed(options.seed * 7919 + frame_number);
-  GradientPicture gradient;
   // The two need nothing of each other.
   tbb::parallel_invoke(
       [&] {
         const StageClock clock(out.seconds.gradient);
-        gradient = gradient_of(frame, 1.0, options.contrast);
+        gradient_of(frame, 1.0, options.contrast, gradient);
       },
       [&] {
         const StageClock clock(out.seconds.texture);
@@ -55,13 +54,11 @@ TrackedFrame Tracker::State::track(const Grey& frame) {
       });
   for (int start = 0; start < kStarts; ++start) {
     // The last try is by looks, should keypoints mislead.
-    if (options.filter ? !predict(frame, start + 1 == kStarts, out) : !predict_alone(gradient, frame, out))
-      return out;
-    estimate_pose(gradient, frame, out);
+    if (options.filter ? !predict(frame, start + 1 == kStarts, out) : !predict_alone(frame, out)) return out;
+    estimate_pose(frame, out);
     if (!lost || !out.initialised) break;
   }
-  if (options.filter && !out.initialised && !lost && is_doubtful(out))
-    out = second_opinion(gradient, frame, out);
+  if (options.filter && !out.initialised && !lost && is_doubtful(out)) out = second_opinion(frame, out);
   if (!lost)
     usual_deviation = usual_deviation > 0 ? 0.9 * usual_deviation + 0.1 * out.deviation_px : out.deviation_px;
   out.lost = lost || !is_certain(out);
@@ -71,8 +68,7 @@ TrackedFrame Tracker::State::track(const Grey& frame) {
 }
 
 /// The frame again, from its keypoints; the answer with the smaller residuals stands.
-TrackedFrame Tracker::State::second_opinion(const GradientPicture& gradient, const Grey& frame,
-                                            const TrackedFrame& first) {
+TrackedFrame Tracker::State::second_opinion(const Grey& frame, const TrackedFrame& first) {
   const std::vector<Particle> first_particles = particles;
   const Pose first_estimate = estimate;
   const Twist first_drift = drift;
@@ -88,7 +84,7 @@ TrackedFrame Tracker::State::second_opinion(const GradientPicture& gradient, con
   if (found) {
     restart(std::move(fresh));
     second.initialised = true;
-    estimate_pose(gradient, frame, second);
+    estimate_pose(frame, second);
     if (!lost && second.deviation_px < 0.7 * first.deviation_px) return second;
   }
   particles = first_particles;

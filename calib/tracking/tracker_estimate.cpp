@@ -20,7 +20,7 @@ constexpr double kMostJump = 5;
 
 /// What brightness says of the pose.
 PosePrior Tracker::State::prior_by_looks(const Pose& pose, const MatchSummary& edges) const {
-  const Alignment better = taught.aligned(pose, 1);
+  const Alignment better = taught.aligned(pose, 1, 0);
   // Plain faces pull the pose inwards, away from the background, and nothing pulls it out.
   if (!better.converged ||
       !(taught.likeness_at(better.cam_from_object, 1, kSurfacePoints).print > kLikeEnough))
@@ -33,19 +33,16 @@ PosePrior Tracker::State::prior_by_looks(const Pose& pose, const MatchSummary& e
           trust * kPointWeight * kModelError_px * kModelError_px * better.information};
 }
 
-Refined Tracker::State::polish(const GradientPicture& gradient, const Grey& frame, Pose pose,
-                               TrackedFrame& out) const {
+Refined Tracker::State::polish(const Grey& frame, Pose pose, TrackedFrame& out) const {
   RefineOptions how;
   how.weights = RefineOptions::Weights::tukey;
-  how.iterations = 5;
-  if (!options.polish) how.iterations = 0;
+  how.iterations = options.polish ? 5 : 0;
   Refined r;
   std::vector<PointMatch> points;
   PosePrior by_looks;
   double looked = taught.looks(pose, 0);
   for (const double range : {6.0, 3.0, 3.0}) {
-    std::vector<EdgeSample> samples = sample_edges(model, lens, pose, options.spacing_px / 2, kSlack);
-    match_edges(gradient, range, options.least_cosine, samples);
+    const std::vector<EdgeSample> samples = edges_at(pose, options.spacing_px / 2, range);
     // Matches stay true as the pose moves on: they are places in the picture and on the object.
     if (options.texture && range < 6 && points.empty()) points = taught.texture_matches(frame, pose);
     if (options.texture && range == 6) by_looks = prior_by_looks(pose, summarise(samples));
@@ -59,17 +56,19 @@ Refined Tracker::State::polish(const GradientPicture& gradient, const Grey& fram
     pose = r.cam_from_object;
   }
   out.texture_points = static_cast<int>(points.size());
-  out.correlation = taught.correlation_at(frame, pose);
-  if (!taught.empty()) {
-    const Likeness l = taught.likeness_at(pose, 0, kSurfacePoints);
-    out.print = l.print;
-    out.fit = l.fit;
-    out.likeness = l.whole;
-  }
-  std::vector<EdgeSample> samples = sample_edges(model, lens, pose, options.spacing_px / 2, kSlack);
-  match_edges(gradient, options.lost_px, options.least_cosine, samples);
-  out.edges = summarise(samples);
+  describe(frame, pose, out);
   return r;
+}
+
+/// What the picture shows at the pose: the verdict's evidence.
+void Tracker::State::describe(const Grey& frame, const Pose& pose, TrackedFrame& out) const {
+  out.edges = summarise(edges_at(pose, options.spacing_px / 2, options.lost_px));
+  out.correlation = taught.correlation_at(frame, pose);
+  if (taught.empty()) return;
+  const Likeness l = taught.likeness_at(pose, 0, kSurfacePoints);
+  out.print = l.print;
+  out.fit = l.fit;
+  out.likeness = l.whole;
 }
 
 /// Noise times the inverse of the information, with a prior of an object's size and of pi, so that what the
@@ -83,15 +82,15 @@ Matrix6 Tracker::State::covariance_of(const Refined& r) const {
   return information.inverse();
 }
 
-void Tracker::State::estimate_pose(const GradientPicture& gradient, const Grey& frame, TrackedFrame& out) {
+void Tracker::State::estimate_pose(const Grey& frame, TrackedFrame& out) {
   if (options.filter) {
     const StageClock clock(out.seconds.filter);
-    run_filter(gradient, frame, out);
+    run_filter(frame, out);
   }
   const StageClock clock(out.seconds.estimate);
   const Pose last = estimate;
   const bool was_tracked = known && !lost && !out.initialised;
-  const Refined r = polish(gradient, frame, estimate_now, out);
+  const Refined r = polish(frame, estimate_now, out);
   drift =
       known && !out.initialised ? velocity(options.autoregression, last, r.cam_from_object) : Twist::Zero();
   estimate = r.cam_from_object;

@@ -79,10 +79,15 @@ std::vector<Particle> Tracker::State::particles_around(const std::vector<Place>&
   return out;
 }
 
-void Tracker::State::measure(const GradientPicture& gradient, const Pose& pose, double range, double pixels,
-                             Measured& out) const {
-  out.samples = sample_edges(model, lens, pose, options.spacing_px, kSlack);
-  match_edges(gradient, range, options.least_cosine, out.samples);
+/// The visible edges at a pose, and what the picture has within `range` pixels of them.
+std::vector<EdgeSample> Tracker::State::edges_at(const Pose& pose, double spacing_px, double range) const {
+  std::vector<EdgeSample> samples = sample_edges(model, lens, pose, spacing_px, kSlack);
+  match_edges(gradient, range, options.least_cosine, samples);
+  return samples;
+}
+
+void Tracker::State::measure(const Pose& pose, double range, double pixels, Measured& out) const {
+  out.samples = edges_at(pose, options.spacing_px, range);
   out.looks = taught.looks(pose, 0);
   out.log_weight = log_likelihood(summarise(out.samples), range, options.likelihood) +
                    texture_likelihood(pose) + log_looks(out.looks, pixels);
@@ -99,7 +104,7 @@ double Tracker::State::texture_likelihood(const Pose& pose) const {
   return -HypothesisOptions{}.lambda_c * (1 - inliers / static_cast<double>(texture_points.size()));
 }
 
-void Tracker::State::refine_one(const GradientPicture& gradient, const Pose& pose, Measured& m) const {
+void Tracker::State::refine_one(const Pose& pose, Measured& m) const {
   RefineOptions how;
   how.iterations = options.refine_iterations;
   const auto refine_from = [&](const Pose& from) {
@@ -107,28 +112,26 @@ void Tracker::State::refine_one(const GradientPicture& gradient, const Pose& pos
   };
   const double near_px = std::max(3.0, options.search_px / 4), weight = m.log_weight, looked = m.looks;
   refine_from(pose);
-  measure(gradient, m.refined, near_px, kLookedAt, m);
+  m.samples = edges_at(m.refined, options.spacing_px, near_px);
   refine_from(m.refined);
   if (!options.reweigh) return void(m.log_weight = weight);
-  measure(gradient, m.refined, near_px, kLookedAt, m);
+  measure(m.refined, near_px, kLookedAt, m);
   // Clutter's edges may lead away from a place that looks right: then only near ones, or none.
   if (m.looks >= looked - kWorse) return;
-  measure(gradient, pose, near_px, kLookedAt, m);
+  measure(pose, near_px, kLookedAt, m);
   const Measured unmoved = m;
   refine_from(pose);
-  measure(gradient, m.refined, near_px, kLookedAt, m);
+  measure(m.refined, near_px, kLookedAt, m);
   if (m.log_weight >= unmoved.log_weight) return;
   m = unmoved;
   m.refined = pose;
 }
 
 /// Weights (7, 8), refinement (9, 10) of the particles that matter, weights again.
-void Tracker::State::weigh_particles(const GradientPicture& gradient) {
+void Tracker::State::weigh_particles() {
   std::vector<Measured> measured(particles.size());
   const int count = static_cast<int>(particles.size());
-  parallel_for(count, [&](int i) {
-    measure(gradient, particles[i].pose, options.search_px, kGlancedAt, measured[i]);
-  });
+  parallel_for(count, [&](int i) { measure(particles[i].pose, options.search_px, kGlancedAt, measured[i]); });
   double best = -std::numeric_limits<double>::infinity();
   for (const Measured& m : measured) best = std::max(best, m.log_weight);
   parallel_for(count, [&](int i) {
@@ -138,7 +141,7 @@ void Tracker::State::weigh_particles(const GradientPicture& gradient) {
     if (m.log_weight < best + kNegligibleLog)
       m.log_weight = -std::numeric_limits<double>::infinity();
     else
-      refine_one(gradient, particles[i].pose, m);
+      refine_one(particles[i].pose, m);
   });
   for (int i = 0; i < count; ++i) {
     particles[i].pose = measured[i].refined;
@@ -206,8 +209,8 @@ bool Tracker::State::is_sure(const std::vector<double>& weights) const {
   return (std::isnan(l.print) ? l.fit : l.print) > kSamePrint;
 }
 
-void Tracker::State::run_filter(const GradientPicture& gradient, const Grey& frame, TrackedFrame& out) {
-  weigh_particles(gradient);
+void Tracker::State::run_filter(const Grey& frame, TrackedFrame& out) {
+  weigh_particles();
   std::vector<double> weights = normalised_weights(particles);
   out.n_eff = effective_number(weights);
   std::vector<Particle> fresh;
@@ -219,7 +222,7 @@ void Tracker::State::run_filter(const GradientPicture& gradient, const Grey& fra
       fresh.push_back(best);
       restart(std::move(fresh));
       taught.compare_nearest();
-      weigh_particles(gradient);
+      weigh_particles();
       weights = normalised_weights(particles);
       out.initialised = true;
     }

@@ -99,6 +99,15 @@ bool Tracker::State::predict(const Grey& frame, bool by_views, TrackedFrame& out
   std::vector<Particle> fresh;
   if (by_views || !particles_from_keypoints(frame, options.particles, fresh))
     particles_from_views(frame, options.particles, fresh);
+  std::vector<Particle> all = starting_particles(fresh);
+  if (all.empty()) return false;
+  restart(std::move(all));
+  out.initialised = true;
+  return true;
+}
+
+/// A half by looks, the other from what was found and what was known; none if there is nothing of these.
+std::vector<Particle> Tracker::State::starting_particles(const std::vector<Particle>& fresh) {
   const std::vector<Particle> kept = scattered_particles();
   std::vector<Pose> poses;
   for (const Particle& p : fresh) poses.push_back(p.pose);
@@ -106,17 +115,13 @@ bool Tracker::State::predict(const Grey& frame, bool by_views, TrackedFrame& out
   for (const TexturedView& v : taught.views()) poses.push_back(v.cam_from_object);
   const std::vector<Particle> alike =
       particles_around(taught.best_places(poses, kStarted), (options.particles + 1) / 2);
-  if (alike.empty() && fresh.empty() && kept.empty()) return false;
-  // A half by looks, the other from what was found and what was known.
   std::vector<Particle> all = alike;
   const std::size_t rest = static_cast<std::size_t>(options.particles) - all.size();
   const std::size_t of_kept = fresh.empty() ? rest : rest / 2;
   all.insert(all.end(), kept.begin(), kept.begin() + std::ptrdiff_t(std::min(of_kept, kept.size())));
   for (std::size_t i = 0; i < fresh.size() && all.size() < static_cast<std::size_t>(options.particles); ++i)
     all.push_back(fresh[i]);
-  restart(std::move(all));
-  out.initialised = true;
-  return true;
+  return all;
 }
 
 /// The states when the object was last seen, the more scattered the longer that is ago.
@@ -141,11 +146,11 @@ void Tracker::State::restart(std::vector<Particle> fresh) {
 }
 
 /// Without the filter: IRLS from the last pose, the method that the paper compares with.
-bool Tracker::State::predict_alone(const GradientPicture& gradient, const Grey& frame, TrackedFrame& out) {
+bool Tracker::State::predict_alone(const Grey& frame, TrackedFrame& out) {
   if (known && !lost) {
     Measured m;
-    measure(gradient, estimate, options.search_px, kGlancedAt, m);
-    refine_one(gradient, estimate, m);
+    measure(estimate, options.search_px, kGlancedAt, m);
+    refine_one(estimate, m);
     estimate_now = m.refined;
     return true;
   }

@@ -50,16 +50,17 @@ struct Tracker::State {
 
   // tracker.cpp: one frame
   TrackedFrame track(const Grey& frame);
-  TrackedFrame second_opinion(const GradientPicture& gradient, const Grey& frame, const TrackedFrame& first);
+  TrackedFrame second_opinion(const Grey& frame, const TrackedFrame& first);
 
   // tracker_start.cpp: where particles come from when there are none
   bool particles_from_keypoints(const Grey& frame, int count, std::vector<Particle>& out);
   void follow_keypoints(const std::vector<Hypothesis>& drawn);
   bool particles_from_views(const Grey& frame, int count, std::vector<Particle>& out);
   bool predict(const Grey& frame, bool by_views, TrackedFrame& out);
+  std::vector<Particle> starting_particles(const std::vector<Particle>& fresh);
   std::vector<Particle> scattered_particles();
   void restart(std::vector<Particle> fresh);
-  bool predict_alone(const GradientPicture& gradient, const Grey& frame, TrackedFrame& out);
+  bool predict_alone(const Grey& frame, TrackedFrame& out);
 
   // tracker_filter.cpp: one step of the filter
   double gaussian();
@@ -68,27 +69,29 @@ struct Tracker::State {
   void follow_motion(const Grey& frame);
   void propose_by_looks();
   std::vector<Particle> particles_around(const std::vector<Place>& places, int count);
-  void measure(const GradientPicture& gradient, const Pose& pose, double range, double pixels,
-               Measured& out) const;
+  std::vector<EdgeSample> edges_at(const Pose& pose, double spacing_px, double range) const;
+  void measure(const Pose& pose, double range, double pixels, Measured& out) const;
   double texture_likelihood(const Pose& pose) const;
-  void refine_one(const GradientPicture& gradient, const Pose& pose, Measured& m) const;
-  void weigh_particles(const GradientPicture& gradient);
+  void refine_one(const Pose& pose, Measured& m) const;
+  void weigh_particles();
   bool is_same_mode(const Pose& a, const Pose& b) const;
   Pose mean_pose(const std::vector<double>& weights) const;
   double rival_weight() const;
   int wanted_particles(const std::vector<double>& weights) const;
   bool is_sure(const std::vector<double>& weights) const;
-  void run_filter(const GradientPicture& gradient, const Grey& frame, TrackedFrame& out);
+  void run_filter(const Grey& frame, TrackedFrame& out);
 
   // tracker_estimate.cpp: the pose and its covariance out of the particles
   PosePrior prior_by_looks(const Pose& pose, const MatchSummary& edges) const;
-  Refined polish(const GradientPicture& gradient, const Grey& frame, Pose pose, TrackedFrame& out) const;
+  Refined polish(const Grey& frame, Pose pose, TrackedFrame& out) const;
+  void describe(const Grey& frame, const Pose& pose, TrackedFrame& out) const;
   Matrix6 covariance_of(const Refined& r) const;
-  void estimate_pose(const GradientPicture& gradient, const Grey& frame, TrackedFrame& out);
+  void estimate_pose(const Grey& frame, TrackedFrame& out);
 
   // tracker_verdict.cpp: whether the pose is to be believed
   bool has_taught_size(const Pose& pose) const;
   bool is_near_last() const;
+  bool has_enough_edges(const TrackedFrame& f, bool must_compare, double alike) const;
   bool is_lost(const TrackedFrame& f) const;
   bool determines(const Matrix6& covariance) const;
   bool is_certain(const TrackedFrame& f);
@@ -103,6 +106,7 @@ struct Tracker::State {
   tbb::task_arena arena;
   TaughtViews taught;
 
+  GradientPicture gradient;  ///< of this frame
   std::mt19937_64 random;
   std::vector<Particle> particles;
   std::vector<Particle> good_particles;  ///< when the object was last seen

@@ -55,15 +55,20 @@ bool Tracker::State::is_lost(const TrackedFrame& f) const {
   const double alike = std::isnan(f.likeness) ? f.correlation : f.likeness;
   if (alike < options.lost_correlation || (must_compare && std::isnan(alike))) return true;
   if (must_compare && !has_taught_size(estimate)) return true;
-  // An object that looks as taught may have edges that are faint or hidden.
+  return !has_enough_edges(f, must_compare, alike);
+}
+
+/// Whether enough edges are found for how alike the object looks. One that looks as taught may have edges
+/// that are faint or hidden.
+bool Tracker::State::has_enough_edges(const TrackedFrame& f, bool must_compare, double alike) const {
   const double matched = static_cast<double>(f.edges.matched) / f.edges.visible;
   const bool looks_right = (alike > kAlike && f.texture_points >= kLeastCorners) ||
                            (alike > kVeryAlike && (!must_compare || matched >= kSurePart));
-  if (must_compare && !looks_right) return true;
-  if (looks_right) return matched < 0.5 * options.lost_part;
+  if (must_compare && !looks_right) return false;
+  if (looks_right) return !(matched < 0.5 * options.lost_part);
   // One plain face, without contrast to compare.
-  const bool fits = is_plain && f.fit > kVeryAlike && !(alike < kPlainFit);
-  return matched < (fits ? (f.initialised ? kSurePart : 0.75 * options.lost_part) : options.lost_part);
+  const bool fits = std::isnan(f.print) && f.fit > kVeryAlike && !(alike < kPlainFit);
+  return !(matched < (fits ? (f.initialised ? kSurePart : 0.75 * options.lost_part) : options.lost_part));
 }
 
 /// Whether the estimate's standard deviations are small enough for a pose. A turn that is not known at all
