@@ -299,6 +299,8 @@ Calibration calibrate(Observations observations, const Recording& recording,
   weigh_structure(c, solve);
   for (int i = 0; i < n; ++i) c.cameras.push_back(summary_of(c, i));
   note_undetermined(c, groups, options);
+  // Lenses were judged by their own boards; what is said of pictures depends on places as well.
+  c.solution.camera_covariance *= c.place_scale * c.place_scale;
   std::vector<PlacedCamera> placed;
   std::vector<int> determined;
   for (int i = 0; i < n; ++i) {

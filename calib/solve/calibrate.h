@@ -58,8 +58,8 @@ struct Calibration {
   ResidualStructure structure;
   /// Where the structure says that frames of a set were not taken together and lenses are free; else empty.
   std::vector<OwnLens> own_lenses;
-  /// By what the covariance of the poses was multiplied, its root: ResidualStructure::view_ratio where frames
-  /// were not taken together and SigmaScale could not be measured.
+  /// By what sigmas of places, turns and of what pictures show were multiplied: ResidualStructure::view_ratio
+  /// where frames were not taken together and SigmaScale could not be measured.
   double place_scale = 1;
   std::vector<double> map_distances_m;
   /// Of the determined cameras, even in 1/z, from half the distance of the nearest board corner to infinity.

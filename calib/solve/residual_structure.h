@@ -28,8 +28,11 @@ struct ResidualStructure {
   };
   std::vector<BySet> sets;
 
+  static constexpr double kWorthPx = 0.1, kClear = 3;  ///< what is worth a word, and no chance
   /// Views of one set show the board at places that differ by more than noise.
-  bool frames_apart() const { return view_px > 0.1 && view_ratio > 3; }
+  bool frames_apart() const { return view_px > kWorthPx && view_ratio > kClear; }
+  /// Boards are sheared or stretched along the rows.
+  bool rows_apart() const { return row_px > kWorthPx && row_ratio > kClear; }
 };
 
 /// Noise is what an affine function of the position leaves of each view's residuals.

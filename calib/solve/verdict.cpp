@@ -270,9 +270,8 @@ void note_lens_misfit(const Calibration& c, Texts& notes) {
 }
 
 void note_structure(const Calibration& c, Texts& notes) {
-  constexpr double kWorthPx = 0.1, kClear = 3;
   const ResidualStructure& s = c.structure;
-  if (s.row_px > kWorthPx && s.row_ratio > kClear)
+  if (s.rows_apart())
     notes.push_back(
         fmt::format("residuals grow along the rows within boards, {:.2f} px at their edge: a rolling "
                     "shutter and a board that moved are suspected; hold it still",
@@ -292,7 +291,7 @@ void note_structure(const Calibration& c, Texts& notes) {
   if (rms.size() < 3) return;
   const double usual = median(std::move(rms));
   for (const auto& set : s.sets)
-    if (set.rms_px > 2.5 * usual && set.rms_px > 0.5 * kWorthPx)
+    if (set.rms_px > 2.5 * usual && set.rms_px > 0.5 * ResidualStructure::kWorthPx)
       notes.push_back(
           fmt::format("the board of set {} fits worse than others, {:.2f} against {:.2f} px rms: it "
                       "moved, or is blurred or overexposed; it weighed less",

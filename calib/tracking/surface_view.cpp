@@ -304,10 +304,6 @@ bool align_level(const Level& l, const Matrix6& prior, const Pose& start, Alignm
   return true;
 }
 
-}  // namespace
-
-namespace {
-
 /// 255 where the patch shows the object.
 cv::Mat object_of(const DepthPatch& patch) {
   cv::Mat there(patch.depth.height, patch.depth.width, CV_8U, cv::Scalar(0));
